@@ -1,0 +1,24 @@
+"""The one exception for a user's mistake: commands print it and leave with exit code 2."""
+
+from __future__ import annotations
+
+import os
+
+
+class InputError(ValueError):
+    """Something that the user gave cannot be used.
+
+    Args:
+        where: the file, key or option at fault, as the user would name it.
+        found: what is there.
+        expected: what would have been right.
+        mend: optional, what to do about it: a sentence or a command.
+    """
+
+    def __init__(self, where: str | os.PathLike[str], found: str, expected: str, mend: str = "") -> None:
+        self.where = os.fspath(where)
+        self.found = found
+        self.expected = expected
+        self.mend = mend
+        text = f"{self.where}: found {found}; expected {expected}"
+        super().__init__(f"{text}\n  {mend}" if mend else text)
