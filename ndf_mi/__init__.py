@@ -1,0 +1,38 @@
+"""Neural deformable fields of moving people, as Mitsuba 3 participating media.
+
+Importing this package points Dr.Jit at an LLVM that works, imports Mitsuba and registers the plugins of
+:mod:`ndf_mi.plugins` for the active variant and for every variant that is set later.
+"""
+
+from __future__ import annotations
+
+from ndf_mi import llvm
+
+llvm.ensure_llvm()
+
+import mitsuba as mi  # noqa: E402 - after ensure_llvm: Dr.Jit loads LLVM as soon as it is imported
+
+__version__ = "0.1.0"
+
+
+def register() -> None:
+    """Registers Mitsuba's plugins ``ndf``, ``ndf_shell``, … for the active variant; again is harmless.
+
+    Done by itself on import, and whenever a variant is set.
+
+    Raises:
+        ImportError: no variant is set.
+    """
+    from ndf_mi import plugins
+
+    plugins.register()
+
+
+def _on_variant(_old: str | None, new: str | None) -> None:
+    if new is not None:
+        register()
+
+
+mi.detail.add_variant_callback(_on_variant)
+if mi.variant() is not None:
+    register()

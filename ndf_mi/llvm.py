@@ -1,0 +1,183 @@
+"""Finds an LLVM that Dr.Jit can use, and points Dr.Jit at it before Dr.Jit looks for itself.
+
+Dr.Jit takes the first ``libLLVM.so`` that the loader finds, then the highest file name in the system's library folder.
+It accepts LLVM 15 and 16, and then aborts the process at the first ``dr.maximum``. It reads ``DRJIT_LIBLLVM_PATH`` once,
+when it is imported; so the choice is made here, earlier. This module imports neither drjit nor mitsuba.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+MINIMUM = 17
+VARIABLE = "DRJIT_LIBLLVM_PATH"
+ABSENT = "/nonexistent/libLLVM-17-or-newer.so"
+"""What ``DRJIT_LIBLLVM_PATH`` is set to where no usable LLVM exists: Dr.Jit then finds none, rather than 15 or 16."""
+
+
+@dataclass(frozen=True, order=True)
+class Llvm:
+    """A shared library of LLVM: its version (major, minor, patch) and where it is."""
+
+    version: tuple[int, int, int]
+    path: str
+
+    def __str__(self) -> str:
+        return f"LLVM {'.'.join(map(str, self.version))} ({self.path})"
+
+
+def folders() -> list[Path]:
+    """Where shared libraries of LLVM are looked for, besides the loader's own cache."""
+    if sys.platform == "darwin":
+        roots = (Path("/opt/homebrew/opt"), Path("/usr/local/opt"))
+        return [path / "lib" for root in roots for path in sorted(root.glob("llvm*"))]
+    found = [Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/local/lib"), *sorted(Path("/usr/lib").glob("*-linux-gnu"))]
+    return found + [path / "lib" for path in sorted(Path("/usr/lib").glob("llvm*"))]
+
+
+def candidates() -> Iterator[Path]:
+    """Every file that looks like a shared library of LLVM, each real file once."""
+    seen: set[Path] = set()
+    for path in (*_in_folders(folders()), *_in_loader_cache()):
+        real = path.resolve()
+        if real not in seen and real.is_file():
+            seen.add(real)
+            yield path
+
+
+def version_of(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
+    """The version that the library at ``path`` gives of itself; None if it cannot be loaded or is no LLVM.
+
+    Up to LLVM 15 the library has no function that tells its version; its file name is read then. Loading takes place in
+    this process: LLVM's symbols are versioned and local (``RTLD_LOCAL``), so that a second LLVM does no harm.
+    """
+    try:
+        library = ctypes.CDLL(os.fspath(path), mode=ctypes.RTLD_LOCAL)
+    except OSError:
+        return None
+    if not hasattr(library, "LLVMGetVersion"):
+        return version_in_name(path) if hasattr(library, "LLVMContextCreate") else None
+    numbers = [ctypes.c_uint() for _ in range(3)]
+    library.LLVMGetVersion(*map(ctypes.byref, numbers))
+    return numbers[0].value, numbers[1].value, numbers[2].value
+
+
+def version_in_name(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
+    """The version in a file name such as ``libLLVM-15.so.1``, ``libLLVM.so.19.1`` or ``libLLVM-14.0.6.so``; or None.
+
+    Links are followed, since ``libLLVM.so`` alone says nothing; a folder such as ``llvm-14/lib`` counts too.
+    """
+    for text in (os.path.basename(path), os.path.realpath(path)):
+        match = re.search(r"(?:libLLVM-|libLLVM\.so\.|llvm-)(\d+)(?:\.(\d+))?(?:\.(\d+))?", text)
+        if match:
+            major, minor, patch = (int(group or 0) for group in match.groups())
+            return major, minor, patch
+    return None
+
+
+def usable(path: str | os.PathLike[str]) -> Llvm | None:
+    """The library at ``path`` if it can be loaded and is new enough, else None."""
+    named = version_in_name(path)
+    if named is not None and named[0] < MINIMUM:
+        return None  # known too old: spares the loading of 100 MB
+    version = version_of(path)
+    return Llvm(version, os.fspath(path)) if version is not None and version[0] >= MINIMUM else None
+
+
+def find() -> Llvm | None:
+    """The newest usable LLVM on this machine, or None."""
+    by_name = sorted(candidates(), key=lambda path: version_in_name(path) or (0, 0, 0), reverse=True)
+    return next((llvm for path in by_name if (llvm := usable(path))), None)
+
+
+def loaded() -> str | None:
+    """The path of the LLVM that this process has mapped (Linux; None elsewhere or where none is)."""
+    try:
+        lines = Path("/proc/self/maps").read_text().splitlines()
+    except OSError:
+        return None
+    paths = {line.split(maxsplit=5)[5] for line in lines if "libLLVM" in line}
+    return next(iter(sorted(paths)), None)
+
+
+def ensure_llvm() -> Llvm | None:
+    """Makes sure that Dr.Jit uses a usable LLVM or none; called before drjit is imported.
+
+    Sets ``DRJIT_LIBLLVM_PATH`` to the newest usable LLVM, unless it names a usable one already. Where there is none, the
+    variable is set to a path that does not exist: a CUDA variant still works, and an LLVM one says that LLVM was not
+    found rather than abort the process.
+
+    Returns:
+        The LLVM that Dr.Jit will use, or None.
+
+    Raises:
+        ImportError: drjit was imported before, with an LLVM that is too old.
+    """
+    if "drjit" in sys.modules:
+        return _check_loaded()
+    chosen = os.environ.get(VARIABLE)
+    llvm = (usable(chosen) if chosen else None) or find()
+    os.environ[VARIABLE] = llvm.path if llvm else ABSENT
+    return llvm
+
+
+def install_command() -> str:
+    """The command that installs a usable LLVM on this system."""
+    if sys.platform == "darwin":
+        return "brew install llvm"
+    try:
+        release = Path("/etc/os-release").read_text()
+    except OSError:
+        release = ""
+    names = " ".join(re.findall(r"^ID(?:_LIKE)?=\"?([^\"\n]*)", release, re.MULTILINE))
+    if "fedora" in names or "rhel" in names:
+        return "sudo dnf install llvm-libs"
+    if "arch" in names:
+        return "sudo pacman -S llvm-libs"
+    if "suse" in names:
+        return "sudo zypper install libLLVM19"
+    prefix = "" if os.geteuid() == 0 else "sudo "
+    return f"{prefix}apt-get update && {prefix}apt-get install -y libllvm19"
+
+
+def _check_loaded() -> Llvm | None:
+    path = loaded()
+    if path is None:
+        return None
+    version = version_in_name(path) or version_of(path)
+    if version is None:
+        return None
+    if version[0] < MINIMUM:
+        better = find()
+        raise ImportError(
+            f"Dr.Jit has loaded {Llvm(version, path)}, which aborts the process at the first render; "
+            f"LLVM {MINIMUM} or newer is needed.\n"
+            f"  Import ndf_mi before drjit and mitsuba, or set {VARIABLE}={better.path if better else 'PATH'}"
+            + ("" if better else f" after: {install_command()}")
+        )
+    return Llvm(version, path)
+
+
+def _in_folders(where: Sequence[Path]) -> Iterator[Path]:
+    for folder in where:
+        for pattern in ("libLLVM*.so*", "libLLVM*.dylib"):
+            yield from sorted(folder.glob(pattern))
+
+
+def _in_loader_cache() -> Iterator[Path]:
+    for tool in ("ldconfig", "/sbin/ldconfig"):
+        try:
+            listing = subprocess.run([tool, "-p"], capture_output=True, text=True, timeout=10, check=True).stdout
+        except (OSError, subprocess.SubprocessError):
+            continue
+        for line in listing.splitlines():
+            if "libLLVM" in line and "=>" in line:
+                yield Path(line.split("=>")[1].strip())
+        return

@@ -1,0 +1,84 @@
+"""The one place that names Mitsuba's backends: which variant is used here, and setting it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+
+import mitsuba as mi
+
+from ndf_mi import llvm
+from ndf_mi.errors import InputError
+
+LLVM = "llvm_ad_rgb"
+CUDA = "cuda_ad_rgb"
+SUPPORTED = (LLVM, CUDA)
+VARIABLE = "NDF_MI_VARIANT"
+
+
+def cuda_usable() -> bool:
+    """True where NVIDIA's driver is installed and sees a GPU (asked of the driver itself, not of Dr.Jit)."""
+    try:
+        driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+        count = ctypes.c_int(0)
+        return driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 and count.value > 0
+    except (OSError, AttributeError):
+        return False
+
+
+def llvm_usable() -> bool:
+    """True where Dr.Jit has, or will load, an LLVM that works."""
+    path = llvm.loaded() or os.environ.get(llvm.VARIABLE, "")
+    return llvm.usable(path) is not None if path else llvm.find() is not None
+
+
+def preferred() -> str:
+    """The variant that suits this machine: CUDA where a GPU is usable, else LLVM; ``NDF_MI_VARIANT`` overrides.
+
+    Raises:
+        InputError: the variable names an unsupported variant, or neither backend is usable.
+    """
+    asked = os.environ.get(VARIABLE)
+    if asked:
+        return _checked(asked, f"the environment variable {VARIABLE}")
+    if cuda_usable():
+        return CUDA
+    if llvm_usable():
+        return LLVM
+    raise _nothing_usable()
+
+
+def use(name: str | None = None) -> str:
+    """Sets the variant unless one is set already; returns the active one.
+
+    Args:
+        name: the variant wanted; None takes the active one, or :func:`preferred`.
+
+    Raises:
+        InputError: the variant is unsupported or does not work here, or another one is active already.
+    """
+    active = mi.variant()
+    if active is not None and name in (None, active):
+        return active
+    if active is not None:
+        raise InputError("variant", f"{active} active already", f"{name}", "Set one variant in a process.")
+    chosen = preferred() if name is None else _checked(name, "variant")
+    mi.set_variant(chosen)
+    return chosen
+
+
+def _checked(name: str, where: str) -> str:
+    if name not in SUPPORTED:
+        raise InputError(where, repr(name), " or ".join(SUPPORTED))
+    if name == LLVM and not llvm_usable():
+        raise InputError(where, f"{LLVM} without a usable LLVM", f"LLVM {llvm.MINIMUM} or newer", llvm.install_command())
+    if name == CUDA and not cuda_usable():
+        raise InputError(where, f"{CUDA} without a usable NVIDIA GPU", LLVM, f"unset {VARIABLE}, or install the driver")
+    return name
+
+
+def _nothing_usable() -> InputError:
+    return InputError(
+        "this machine", "neither a usable LLVM nor an NVIDIA GPU", f"LLVM {llvm.MINIMUM} or newer", llvm.install_command()
+    )

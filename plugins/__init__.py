@@ -1,0 +1,18 @@
+"""Mitsuba plugins of the package: one module a plugin, each with a function ``register()``."""
+
+from __future__ import annotations
+
+import importlib
+
+MODULES: tuple[str, ...] = ()
+"""The modules here that hold a plugin; each module's ``register()`` registers it with the active variant."""
+
+
+def register() -> None:
+    """Registers every plugin for the active variant.
+
+    A class that derives from one of Mitsuba's belongs to the variant that was active when it was defined, so each
+    module's ``register()`` defines its class anew; the modules themselves are imported once.
+    """
+    for name in MODULES:
+        importlib.import_module(f"{__name__}.{name}").register()
