@@ -10,15 +10,13 @@ from ndf_mi import llvm
 
 llvm.ensure_llvm()
 
-import mitsuba as mi  # noqa: E402 - after ensure_llvm: Dr.Jit loads LLVM as soon as it is imported
-
 __version__ = "0.1.0"
 
 
 def register() -> None:
     """Registers Mitsuba's plugins ``ndf``, ``ndf_shell``, … for the active variant; again is harmless.
 
-    Done by itself on import, and whenever a variant is set.
+    Done by itself on import, and whenever one of :data:`ndf_mi.variants.SUPPORTED` is set.
 
     Raises:
         ImportError: no variant is set.
@@ -29,10 +27,16 @@ def register() -> None:
 
 
 def _on_variant(_old: str | None, new: str | None) -> None:
-    if new is not None:
+    from ndf_mi import variants
+
+    if new in variants.SUPPORTED:
         register()
 
 
-mi.detail.add_variant_callback(_on_variant)
-if mi.variant() is not None:
-    register()
+try:
+    import mitsuba as mi  # after ensure_llvm: Dr.Jit loads LLVM as soon as it is imported
+except ImportError:
+    pass  # `ndf-mi doctor` must run without it; every module that needs it imports it itself, and fails there
+else:
+    mi.detail.add_variant_callback(_on_variant)
+    _on_variant(None, mi.variant())

@@ -30,7 +30,7 @@ class Llvm:
     path: str
 
     def __str__(self) -> str:
-        return f"LLVM {'.'.join(map(str, self.version))} ({self.path})"
+        return f"LLVM {'.'.join(map(str, self.version))}" + (f" ({self.path})" if self.path else "")
 
 
 def folders() -> list[Path]:
@@ -97,14 +97,19 @@ def find() -> Llvm | None:
     return next((llvm for path in by_name if (llvm := usable(path))), None)
 
 
-def loaded() -> str | None:
-    """The path of the LLVM that this process has mapped (Linux; None elsewhere or where none is)."""
-    try:
-        lines = Path("/proc/self/maps").read_text().splitlines()
-    except OSError:
+def loaded() -> Llvm | None:
+    """The LLVM that Dr.Jit, imported already, has loaded; None if it found none that it accepts.
+
+    The path is empty where the system does not tell it (elsewhere than on Linux).
+    """
+    import drjit as dr
+
+    major, minor, patch = dr.detail.llvm_version()
+    if major < 0:
         return None
-    paths = {line.split(maxsplit=5)[5] for line in lines if "libLLVM" in line}
-    return next(iter(sorted(paths)), None)
+    paths = {os.path.realpath(path) for path in _mapped()}
+    named = [path for path in sorted(paths) if (version_in_name(path) or (0,))[0] == major]
+    return Llvm((major, minor, patch), named[0] if named else "")
 
 
 def ensure_llvm() -> Llvm | None:
@@ -148,21 +153,24 @@ def install_command() -> str:
 
 
 def _check_loaded() -> Llvm | None:
-    path = loaded()
-    if path is None:
-        return None
-    version = version_in_name(path) or version_of(path)
-    if version is None:
-        return None
-    if version[0] < MINIMUM:
-        better = find()
-        raise ImportError(
-            f"Dr.Jit has loaded {Llvm(version, path)}, which aborts the process at the first render; "
-            f"LLVM {MINIMUM} or newer is needed.\n"
-            f"  Import ndf_mi before drjit and mitsuba, or set {VARIABLE}={better.path if better else 'PATH'}"
-            + ("" if better else f" after: {install_command()}")
-        )
-    return Llvm(version, path)
+    llvm = loaded()
+    if llvm is None or llvm.version[0] >= MINIMUM:
+        return llvm
+    better = find()
+    remedy = f"set {VARIABLE}={better.path}" if better else f"install a newer one: {install_command()}"
+    raise ImportError(
+        f"Dr.Jit has loaded {llvm}, which aborts the process at the first render; LLVM {MINIMUM} or newer is needed.\n"
+        f"  Import ndf_mi before drjit and mitsuba, or {remedy}"
+    )
+
+
+def _mapped() -> Iterator[str]:
+    """The libraries of LLVM that this process has mapped (Linux)."""
+    try:
+        lines = Path("/proc/self/maps").read_text().splitlines()
+    except OSError:
+        return
+    yield from (line.split(maxsplit=5)[5] for line in lines if "libLLVM" in line)
 
 
 def _in_folders(where: Sequence[Path]) -> Iterator[Path]:

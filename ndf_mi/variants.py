@@ -1,12 +1,11 @@
-"""The one place that names Mitsuba's backends: which variant is used here, and setting it."""
+"""The one place that names Mitsuba's backends: which variant is used here, and setting it.
+
+Mitsuba and Dr.Jit are imported inside the functions, so that the names can be read where those two are broken.
+"""
 
 from __future__ import annotations
 
-import ctypes
 import os
-import sys
-
-import mitsuba as mi
 
 from ndf_mi import llvm
 from ndf_mi.errors import InputError
@@ -18,19 +17,17 @@ VARIABLE = "NDF_MI_VARIANT"
 
 
 def cuda_usable() -> bool:
-    """True where NVIDIA's driver is installed and sees a GPU (asked of the driver itself, not of Dr.Jit)."""
-    try:
-        driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
-        count = ctypes.c_int(0)
-        return driver.cuInit(0) == 0 and driver.cuDeviceGetCount(ctypes.byref(count)) == 0 and count.value > 0
-    except (OSError, AttributeError):
-        return False
+    """True where Dr.Jit has found NVIDIA's driver and a GPU."""
+    import drjit as dr
+
+    return bool(dr.has_backend(dr.JitBackend.CUDA))
 
 
 def llvm_usable() -> bool:
-    """True where Dr.Jit has, or will load, an LLVM that works."""
-    path = llvm.loaded() or os.environ.get(llvm.VARIABLE, "")
-    return llvm.usable(path) is not None if path else llvm.find() is not None
+    """True where Dr.Jit has loaded an LLVM; importing ``ndf_mi`` has made sure that it is one that works."""
+    import drjit as dr
+
+    return bool(dr.has_backend(dr.JitBackend.LLVM))
 
 
 def preferred() -> str:
@@ -58,6 +55,8 @@ def use(name: str | None = None) -> str:
     Raises:
         InputError: the variant is unsupported or does not work here, or another one is active already.
     """
+    import mitsuba as mi
+
     active = mi.variant()
     if active is not None and name in (None, active):
         return active

