@@ -1,0 +1,129 @@
+"""Metrics against images worked by hand, against scikit-image, and against Mitsuba's ray tracer."""
+
+from __future__ import annotations
+
+import json
+import math
+from types import SimpleNamespace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from skimage.metrics import structural_similarity
+
+from ndf_mi.compare import metrics
+
+
+@pytest.fixture
+def pair() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(4)
+    truth = rng.random((23, 31, 3), dtype=np.float32)
+    return truth, np.clip(truth + rng.normal(0, 0.1, truth.shape), 0, 1).astype(np.float32)
+
+
+def look_at(origin, target, w=40, h=30, focal=35.0, cx=18.5, cy=16.0):
+    back = np.asarray(origin, float) - np.asarray(target, float)
+    back /= np.linalg.norm(back)
+    right = np.cross([0, 1, 0], back)
+    right /= np.linalg.norm(right)
+    transform = np.eye(4)
+    transform[:3] = np.stack([right, np.cross(back, right), back, np.asarray(origin, float)], axis=1)
+    return SimpleNamespace(w=w, h=h, fl_x=focal, fl_y=focal * 1.1, cx=cx, cy=cy, transform=transform)
+
+
+def test_psnr_by_hand():
+    # Errors 0.1 and 0.3 in one channel of two pixels: MSE = (0.01 + 0.09) / 6 over both, 0.01 / 3 over the first.
+    truth, image = np.zeros((1, 2, 3)), np.zeros((1, 2, 3))
+    image[0, 0, 0], image[0, 1, 2] = 0.1, 0.3
+    assert metrics.psnr(truth, image) == pytest.approx(17.7815125)
+    assert metrics.psnr(truth, image, np.array([[True, False]])) == pytest.approx(24.7712125)
+
+
+def test_psnr_of_identical_images_is_infinite_and_survives_json(pair):
+    value = metrics.psnr(pair[0], pair[0])
+    assert value == math.inf
+    stored = json.dumps(metrics.to_json(value), allow_nan=False)
+    assert metrics.from_json(json.loads(stored)) == math.inf
+    assert metrics.from_json(metrics.to_json(None)) is None
+    assert metrics.average([None, 3.0, 5.0]) == 4.0
+    assert metrics.average([None]) is None
+
+
+def test_ssim_by_hand():
+    # One window. Constant images a and b have no variance: (2ab + C1) / (a² + b² + C1).
+    a, b = np.full((7, 7, 3), 0.2), np.full((7, 7, 3), 0.6)
+    assert metrics.ssim(a, b) == pytest.approx((0.24 + 1e-4) / (0.4 + 1e-4))
+    # One bright pixel of 1 against black: mean 1/49, sample variance (1 − 1/49)/48 = 1/49.
+    spot = np.zeros((7, 7, 1))
+    spot[3, 3] = 1
+    expected = 1e-4 * 9e-4 / ((1 / 2401 + 1e-4) * (1 / 49 + 9e-4))
+    assert metrics.ssim(np.zeros_like(spot), spot) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("data_range", [1.0, 2.0])
+def test_ssim_agrees_with_scikit_image(pair, data_range):
+    expected = structural_similarity(*pair, channel_axis=2, data_range=data_range)
+    assert metrics.ssim(*pair, data_range) == pytest.approx(expected, abs=1e-5)
+    mask = np.zeros(pair[0].shape[:2], bool)
+    mask[3:15, 5:20] = True
+    mask[3, 5] = False
+    crops = [np.where(mask[..., None], side, 0)[3:15, 5:20] for side in pair]
+    expected = structural_similarity(*crops, channel_axis=2, data_range=data_range)
+    assert metrics.box_ssim(*pair, mask, data_range) == pytest.approx(expected, abs=1e-5)
+
+
+def test_data_range_two_is_higher(pair):
+    assert metrics.ssim(*pair, 2.0) > metrics.ssim(*pair, 1.0)
+
+
+def test_flip_of_black_against_white_is_the_published_maximum(pair):
+    assert metrics.flip_map(pair[0], pair[0]).max() == 0
+    grey = metrics.flip_map(np.zeros((64, 64, 3)), np.ones((64, 64, 3)))
+    assert grey.shape == (64, 64)
+    # The largest error between any two grey levels, given by the colour metric alone: 1 up to its compression.
+    assert grey[32, 32] == pytest.approx(0.967, abs=0.01)
+
+
+@pytest.mark.parametrize("origin", [(2.0, 1.5, 2.5), (0.0, 0.0, 4.0), (-3.0, 0.2, 0.0)])
+def test_box_mask_agrees_with_a_ray_traced_cube(origin):
+    mi.set_variant("llvm_ad_rgb")
+    camera = look_at(origin, (0.1, 0.2, 0.0))
+    vertices = np.array([[-0.4, -0.9, -0.2], [0.5, 0.8, 0.3], [0.0, 0.0, 0.0]])
+    to_world = mi.ScalarTransform4f().translate([0.05, -0.05, 0.05]).scale([0.5, 0.9, 0.3])
+    scene = mi.load_dict({"type": "scene", "box": {"type": "cube", "to_world": to_world}})
+    x, y = np.meshgrid(np.arange(camera.w) + 0.5, np.arange(camera.h) + 0.5)
+    local = np.stack([(x - camera.cx) / camera.fl_x, (camera.cy - y) / camera.fl_y, -np.ones_like(x)], -1)
+    directions = (local @ camera.transform[:3, :3].T).reshape(-1, 3).T.astype(np.float32)
+    ray = mi.Ray3f(mi.Point3f(camera.transform[:3, 3].astype(np.float32)), mi.Vector3f(directions))
+    hits = np.array(scene.ray_test(ray))
+    mask = metrics.box_mask(camera, vertices)
+    assert 0.05 < mask.mean() < 0.95
+    assert (mask.ravel() != hits).sum() <= 1
+
+
+def test_box_behind_the_camera_and_around_it():
+    vertices = np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
+    assert not metrics.box_mask(look_at((0, 0, 3), (0, 0, 6)), vertices).any()
+    assert metrics.box_mask(look_at((0, 0, 0), (0, 0, 6)), vertices).all()
+
+
+def test_measure_without_a_box_in_sight(pair):
+    figures = metrics.measure(*pair, np.zeros(pair[0].shape[:2], bool))
+    assert set(figures) == set(metrics.LABELS)
+    assert figures["box_psnr"] is None and figures["box_ssim"] is None and figures["box_flip"] is None
+    assert figures["psnr"] == pytest.approx(metrics.psnr(*pair))
+
+
+def test_measure_over_the_whole_image_is_the_box(pair):
+    figures = metrics.measure(*pair, np.ones(pair[0].shape[:2], bool))
+    assert figures["box_psnr"] == figures["psnr"]
+    assert figures["box_ssim"] == figures["ssim"]
+
+
+def test_mismatches_are_refused(pair):
+    with pytest.raises(ValueError, match="shapes"):
+        metrics.psnr(pair[0], pair[1][:5])
+    with pytest.raises(ValueError, match="empty"):
+        metrics.psnr(*pair, np.zeros(pair[0].shape[:2], bool))
+    with pytest.raises(ValueError, match="7×7"):
+        metrics.ssim(pair[0][:6], pair[1][:6])
