@@ -6,6 +6,8 @@ Importing this package points Dr.Jit at an LLVM that works, imports Mitsuba and 
 
 from __future__ import annotations
 
+import importlib
+
 from ndf_mi import llvm
 
 llvm.ensure_llvm()
@@ -21,9 +23,7 @@ def register() -> None:
     Raises:
         ImportError: no variant is set.
     """
-    from ndf_mi import plugins
-
-    plugins.register()
+    importlib.import_module("ndf_mi.plugins").register()
 
 
 def _on_variant(_old: str | None, new: str | None) -> None:

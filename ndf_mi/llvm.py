@@ -1,8 +1,9 @@
 """Finds an LLVM that Dr.Jit can use, and points Dr.Jit at it before Dr.Jit looks for itself.
 
 Dr.Jit takes the first ``libLLVM.so`` that the loader finds, then the highest file name in the system's library folder.
-It accepts LLVM 15 and 16, and then aborts the process at the first ``dr.maximum``. It reads ``DRJIT_LIBLLVM_PATH`` once,
-when it is imported; so the choice is made here, earlier. This module imports neither drjit nor mitsuba.
+It accepts LLVM 15 and 16, and then aborts the process at the first ``dr.maximum``. It reads ``DRJIT_LIBLLVM_PATH``
+once, when it is imported; so the choice is made here, earlier. This module imports neither drjit nor mitsuba, and runs
+by itself, as ``python -I ndf_mi/llvm.py``, before anything is installed: it prints the LLVM found, or exits with 1.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ def folders() -> list[Path]:
     if sys.platform == "darwin":
         roots = (Path("/opt/homebrew/opt"), Path("/usr/local/opt"))
         return [path / "lib" for root in roots for path in sorted(root.glob("llvm*"))]
-    found = [Path("/usr/lib"), Path("/usr/lib64"), Path("/usr/local/lib"), *sorted(Path("/usr/lib").glob("*-linux-gnu"))]
-    return found + [path / "lib" for path in sorted(Path("/usr/lib").glob("llvm*"))]
+    system = Path("/usr/lib")
+    plain = [system, Path("/usr/lib64"), Path("/usr/local/lib"), *sorted(system.glob("*-linux-gnu*"))]
+    return plain + [path / "lib" for path in sorted(system.glob("llvm*"))]
 
 
 def candidates() -> Iterator[Path]:
@@ -115,9 +117,9 @@ def loaded() -> Llvm | None:
 def ensure_llvm() -> Llvm | None:
     """Makes sure that Dr.Jit uses a usable LLVM or none; called before drjit is imported.
 
-    Sets ``DRJIT_LIBLLVM_PATH`` to the newest usable LLVM, unless it names a usable one already. Where there is none, the
-    variable is set to a path that does not exist: a CUDA variant still works, and an LLVM one says that LLVM was not
-    found rather than abort the process.
+    Sets ``DRJIT_LIBLLVM_PATH`` to the newest usable LLVM, unless it names a usable one already. Where there is none,
+    the variable is set to a path that does not exist: a CUDA variant still works, and an LLVM one says that LLVM was
+    not found rather than abort the process.
 
     Returns:
         The LLVM that Dr.Jit will use, or None.
@@ -189,3 +191,13 @@ def _in_loader_cache() -> Iterator[Path]:
             if "libLLVM" in line and "=>" in line:
                 yield Path(line.split("=>")[1].strip())
         return
+
+
+def _main() -> int:
+    found = find()
+    print(found if found is not None else install_command())
+    return 0 if found is not None else 1
+
+
+if __name__ == "__main__":
+    sys.exit(_main())

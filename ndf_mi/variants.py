@@ -14,6 +14,7 @@ LLVM = "llvm_ad_rgb"
 CUDA = "cuda_ad_rgb"
 SUPPORTED = (LLVM, CUDA)
 VARIABLE = "NDF_MI_VARIANT"
+NEEDED = f"LLVM {llvm.MINIMUM} or newer"
 
 
 def cuda_usable() -> bool:
@@ -71,13 +72,11 @@ def _checked(name: str, where: str) -> str:
     if name not in SUPPORTED:
         raise InputError(where, repr(name), " or ".join(SUPPORTED))
     if name == LLVM and not llvm_usable():
-        raise InputError(where, f"{LLVM} without a usable LLVM", f"LLVM {llvm.MINIMUM} or newer", llvm.install_command())
+        raise InputError(where, f"{LLVM} without a usable LLVM", NEEDED, llvm.install_command())
     if name == CUDA and not cuda_usable():
         raise InputError(where, f"{CUDA} without a usable NVIDIA GPU", LLVM, f"unset {VARIABLE}, or install the driver")
     return name
 
 
 def _nothing_usable() -> InputError:
-    return InputError(
-        "this machine", "neither a usable LLVM nor an NVIDIA GPU", f"LLVM {llvm.MINIMUM} or newer", llvm.install_command()
-    )
+    return InputError("this machine", "neither a usable LLVM nor an NVIDIA GPU", NEEDED, llvm.install_command())

@@ -1,4 +1,4 @@
-"""The command line ``ndf-mi``: finds the command, reads its options, runs it, and turns a user's mistake into exit code 2.
+"""The command line ``ndf-mi``: finds the command, reads its options, runs it; a user's mistake is exit code 2.
 
 Each command is one module here with one dataclass: a docstring on every field (the options are made of it) and a method
 ``run() -> int | None``, the exit code. A module is imported only when its command is called.

