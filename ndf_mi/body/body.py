@@ -1,0 +1,160 @@
+"""A body: its triangles and texel coordinates and, where known, the skinned model that poses it (``body.npz``)."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from ndf_mi import files
+from ndf_mi.body import arrays
+from ndf_mi.errors import InputError
+
+MODEL = ("template", "joints", "joint_names", "parents", "weights")
+"""The fields that a body needs for skinning; without them it is only a mesh whose vertices come from ``poses.npz``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A triangle mesh with texel coordinates and an optional linear blend skinning model. Metres, y up.
+
+    F triangles, V vertices, U texel coordinates, J joints, B shape coefficients. Every field is checked and brought to
+    its type on construction. Two bodies are equal only if they are the same object.
+
+    Attributes:
+        faces: (F, 3) int32, vertices of each triangle, counter-clockwise seen from outside.
+        uv: (U, 2) float32 in [0, 1], v up.
+        uv_faces: (F, 3) int32 into ``uv``, corner by corner with ``faces``.
+        template: (V, 3) float32, the rest vertices at shape 0.
+        joints: (J, 3) float32, the rest joints at shape 0.
+        joint_names: J names, all different.
+        parents: (J,) int32, the parent of each joint; -1 for the root, which comes first; parents precede children.
+        weights: (V, J) float32, not negative, each row sums to 1 within 1e-3.
+        shape_dirs: (V, 3, B) float32, what a shape coefficient of 1 adds to the rest vertices.
+        pose_dirs: (V, 3, 9·(J-1)) float32, times the rotations of the joints but the root, less the identity, row by row.
+        joint_dirs: (J, 3, B) float32, what a shape coefficient of 1 adds to the rest joints.
+        shape_names: B names.
+
+    Raises:
+        InputError: naming the field, what was found and what was expected.
+    """
+
+    faces: np.ndarray
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    template: np.ndarray | None = None
+    joints: np.ndarray | None = None
+    joint_names: tuple[str, ...] | None = None
+    parents: np.ndarray | None = None
+    weights: np.ndarray | None = None
+    shape_dirs: np.ndarray | None = None
+    pose_dirs: np.ndarray | None = None
+    joint_dirs: np.ndarray | None = None
+    shape_names: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in _checked(self, "body").items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def skinned(self) -> bool:
+        """Whether the body has what linear blend skinning needs."""
+        return all(getattr(self, name) is not None for name in MODEL)
+
+    @property
+    def joint_count(self) -> int:
+        """J, or 0 where the joints are not known."""
+        return 0 if self.joints is None else len(self.joints)
+
+    @property
+    def shape_count(self) -> int:
+        """B, or 0 without shape blend shapes."""
+        return 0 if self.shape_dirs is None else self.shape_dirs.shape[2]
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Writes ``body.npz``, whole or not at all; fields that are None are left out."""
+        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        files.write_npz(path, **{name: np.asarray(value) for name, value in fields.items() if value is not None})
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Body:
+        """Reads and checks ``body.npz``.
+
+        Raises:
+            InputError: naming the file and the key, what was found and what was expected.
+        """
+        names = [f.name for f in dataclasses.fields(cls)]
+        found = arrays.read_npz(path, names[:3], names[3:])
+        for name in ("joint_names", "shape_names"):
+            if name in found and (found[name].dtype.kind != "U" or found[name].ndim != 1):
+                raise InputError(f"{path}: {name}", f"type {found[name].dtype}, shape {found[name].shape}", "a list of strings")
+        try:
+            return cls(**{k: tuple(v.tolist()) if v.dtype.kind == "U" else v for k, v in found.items()})
+        except InputError as error:
+            raise InputError(error.where.replace("body", os.fspath(path), 1), error.found, error.expected, error.mend) from None
+
+
+def _checked(body: Body, where: str) -> dict[str, np.ndarray | tuple[str, ...]]:
+    """The fields that are there, in their types; raises InputError at the first that is wrong."""
+    out: dict[str, np.ndarray | tuple[str, ...]] = {}
+    uv = out["uv"] = arrays.floats(f"{where}: uv", body.uv, (None, 2))
+    if len(uv) == 0:
+        raise InputError(f"{where}: uv", "no texel coordinates", "a mesh with UVs")
+    if uv.min() < 0 or uv.max() > 1:
+        raise InputError(f"{where}: uv", f"values from {uv.min()} to {uv.max()}", "values from 0 to 1")
+    count = None if body.template is None else len(body.template)
+    limit = np.iinfo(np.int32).max if count is None else count
+    faces = out["faces"] = arrays.indices(f"{where}: faces", body.faces, (None, 3), 0, limit)
+    if len(faces) == 0:
+        raise InputError(f"{where}: faces", "no triangle", "at least one")
+    out["uv_faces"] = arrays.indices(f"{where}: uv_faces", body.uv_faces, (len(faces), 3), 0, len(uv))
+    if body.template is not None:
+        out["template"] = arrays.floats(f"{where}: template", body.template, (None, 3))
+    if body.joints is not None:
+        out["joints"] = arrays.floats(f"{where}: joints", body.joints, (None, 3))
+    joints = None if body.joints is None else len(body.joints)
+    if body.joint_names is not None:
+        out["joint_names"] = _names(f"{where}: joint_names", body.joint_names, joints)
+    if body.parents is not None:
+        out["parents"] = _parents(f"{where}: parents", body.parents, joints)
+    if body.weights is not None:
+        weights = out["weights"] = arrays.floats(f"{where}: weights", body.weights, (count, joints))
+        off = np.abs(weights.sum(1, dtype=np.float64) - 1)
+        if weights.min(initial=0) < 0 or off.max(initial=0) > 1e-3:
+            worst = int(off.argmax())
+            found = f"a least weight of {weights.min()}; row {worst} sums to {weights[worst].sum()}"
+            raise InputError(f"{where}: weights", found, "weights of at least 0 whose rows sum to 1")
+    shapes = None
+    if body.shape_dirs is not None:
+        shapes = out["shape_dirs"] = arrays.floats(f"{where}: shape_dirs", body.shape_dirs, (count, 3, None))
+    shape_count = None if shapes is None else shapes.shape[2]
+    if body.pose_dirs is not None:
+        features = None if joints is None else 9 * (joints - 1)
+        out["pose_dirs"] = arrays.floats(f"{where}: pose_dirs", body.pose_dirs, (count, 3, features))
+    if body.joint_dirs is not None:
+        out["joint_dirs"] = arrays.floats(f"{where}: joint_dirs", body.joint_dirs, (joints, 3, shape_count))
+    if body.shape_names is not None:
+        out["shape_names"] = _names(f"{where}: shape_names", body.shape_names, shape_count)
+    return out
+
+
+def _names(where: str, names: tuple[str, ...], count: int | None) -> tuple[str, ...]:
+    names = tuple(str(name) for name in names)
+    if count is not None and len(names) != count:
+        raise InputError(where, f"{len(names)} names", f"{count}")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(where, f"{', '.join(twice)} more than once", "names that differ")
+    return names
+
+
+def _parents(where: str, parents: np.ndarray, count: int | None) -> np.ndarray:
+    limit = len(np.atleast_1d(parents)) if count is None else count
+    parents = arrays.indices(where, parents, (count,), -1, limit)
+    wrong = [j for j, p in enumerate(parents) if (p != -1 if j == 0 else not 0 <= p < j)]
+    if wrong:
+        found = f"joint {wrong[0]} with the parent {parents[wrong[0]]}"
+        raise InputError(where, found, "-1 for joint 0 and for every other joint one that precedes it")
+    return parents
