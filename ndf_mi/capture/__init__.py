@@ -1,0 +1,1 @@
+"""Multi-view captures: the format on disk, its reader, writer and checker, and the synthetic performer."""

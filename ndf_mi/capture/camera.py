@@ -1,0 +1,169 @@
+"""A calibrated camera: the keys of nerfstudio's ``transforms.json``, and the same camera as a Mitsuba sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: OpenGL's camera axes (x right, y up, looking along -z) seen from Mitsuba's (x left, y up, looking along +z).
+_GL_FROM_MITSUBA = np.diag([-1.0, 1.0, -1.0, 1.0])
+
+#: Relative difference of fl_x and fl_y up to which pixels count as square: below 1e-3 pixels over 1000 pixels.
+_SQUARE = 1e-6
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One camera: size and intrinsics in pixels, pose in metres.
+
+    Attributes:
+        name: the camera's name, also its folder's.
+        w, h: image size.
+        fl_x, fl_y, cx, cy: focal lengths and principal point in pixels; (0.5, 0.5) is the centre of the top left pixel.
+        transform: (4, 4) camera-to-world in OpenGL's axes (x right, y up, looking along -z), a rigid motion.
+        distortion: k1, k2, k3, p1, p2 of OpenCV's radial and tangential model; zeros mean none.
+    """
+
+    name: str
+    w: int
+    h: int
+    fl_x: float
+    fl_y: float
+    cx: float
+    cy: float
+    transform: np.ndarray
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether there is no distortion and pixels are square, which is what Mitsuba's sensor can be."""
+        return not any(self.distortion) and abs(self.fl_x - self.fl_y) <= _SQUARE * self.fl_x
+
+    @property
+    def position(self) -> np.ndarray:
+        """(3,) world position of the centre of projection."""
+        return np.asarray(self.transform, dtype=np.float64)[:3, 3]
+
+    def scaled(self, w: int, h: int) -> Camera:
+        """The same view on another number of pixels."""
+        x, y = w / self.w, h / self.h
+        return replace(self, w=w, h=h, fl_x=self.fl_x * x, fl_y=self.fl_y * y, cx=self.cx * x, cy=self.cy * y)
+
+    def pinhole(self) -> Camera:
+        """The ideal camera in this one's place: no distortion, square pixels of the mean focal length."""
+        if self.is_pinhole:
+            return replace(self, fl_y=self.fl_x, distortion=(0.0,) * 5)
+        focal = 0.5 * (self.fl_x + self.fl_y)
+        return replace(self, fl_x=focal, fl_y=focal, distortion=(0.0,) * 5)
+
+    def distort(self, normalised: np.ndarray) -> np.ndarray:
+        """OpenCV's distortion of (N, 2) normalised image coordinates (x right, y down, at depth 1).
+
+        x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2x²),
+        y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2y²) + 2 p2 x y.
+        """
+        k1, k2, k3, p1, p2 = self.distortion
+        x, y = normalised[:, 0], normalised[:, 1]
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+            ],
+            axis=1,
+        )
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """Projects (N, 3) world points to (N, 2) float64 pixel coordinates, distortion included.
+
+        Points on or behind the camera's plane give NaN.
+        """
+        local = self.to_camera(points)
+        depth = np.where(local[:, 2] < 0, -local[:, 2], np.nan)[:, None]
+        normalised = np.concatenate([local[:, :1], -local[:, 1:2]], axis=1) / depth
+        if any(self.distortion):
+            normalised = self.distort(normalised)
+        return normalised * [self.fl_x, self.fl_y] + [self.cx, self.cy]
+
+    def to_camera(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3) world points in this camera's OpenGL axes, float64; -z is the depth in metres."""
+        transform = np.asarray(self.transform, dtype=np.float64)
+        return (np.asarray(points, dtype=np.float64) - transform[:3, 3]) @ transform[:3, :3]
+
+    def rays(self, pixels: mi.Point2f) -> mi.Ray3f:
+        """World rays of unit direction through pixel coordinates; (0.5, 0.5) is the centre of the top left pixel.
+
+        Intrinsics and pose enter as opaque values, so that one kernel serves every camera.
+
+        Raises:
+            ValueError: the camera has distortion; take ``pinhole()``.
+        """
+        import drjit as dr
+        import mitsuba as mi
+
+        if any(self.distortion):
+            raise ValueError(f"camera {self.name} has distortion: rays are those of camera.pinhole()")
+
+        def scalar(value: float) -> mi.Float:
+            return dr.opaque(mi.Float, float(value))
+
+        x = (pixels.x - scalar(self.cx)) * scalar(1 / self.fl_x)
+        y = (scalar(self.cy) - pixels.y) * scalar(1 / self.fl_y)
+        columns: list[Any] = [mi.Vector3f(*map(scalar, column)) for column in self.transform[:3, :4].T]
+        right, up, back, origin = columns
+        return mi.Ray3f(mi.Point3f(origin), dr.normalize(right * x + up * y - back))
+
+    def sensor(
+        self,
+        spp: int = 1,
+        sampler: str = "independent",
+        rfilter: str = "box",
+        crop: tuple[int, int, int, int] | None = None,
+    ) -> dict[str, Any]:
+        """This camera as the dictionary of a Mitsuba ``perspective`` sensor with an ``hdrfilm``.
+
+        Args:
+            spp: samples a pixel.
+            sampler: the sampler plugin's name.
+            rfilter: the reconstruction filter plugin's name.
+            crop: x, y, width, height in pixels of the part to render; everything by default.
+
+        Raises:
+            ValueError: the camera has distortion or pixels that aren't square, which ``perspective`` can't express.
+        """
+        import mitsuba as mi
+
+        if not self.is_pinhole:
+            raise ValueError(f"camera {self.name} has distortion or non-square pixels: take camera.pinhole()")
+        film: dict[str, Any] = {
+            "type": "hdrfilm",
+            "width": self.w,
+            "height": self.h,
+            "pixel_format": "rgba",
+            "component_format": "float32",
+            "rfilter": {"type": rfilter},
+        }
+        if crop is not None:
+            names = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+            film.update(zip(names, map(int, crop), strict=True))
+        to_world = np.asarray(self.transform, dtype=np.float64) @ _GL_FROM_MITSUBA
+        return {
+            "type": "perspective",
+            "fov_axis": "x",
+            "fov": math.degrees(2 * math.atan(self.w / (2 * self.fl_x))),
+            # Mitsuba shifts the sample position by the offset before it looks at the image plane, hence this sign.
+            "principal_point_offset_x": 0.5 - self.cx / self.w,
+            "principal_point_offset_y": 0.5 - self.cy / self.h,
+            "near_clip": 1e-2,
+            "far_clip": 1e4,
+            "to_world": mi.ScalarTransform4f(to_world.tolist()),
+            "film": film,
+            "sampler": {"type": sampler, "sample_count": spp},
+        }

@@ -1,0 +1,93 @@
+"""PNG files of a capture: 8-bit sRGB images and one-channel masks, checked on reading, undistorted where needed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import map_coordinates
+
+from ndf_mi.capture.camera import Camera
+from ndf_mi.errors import InputError
+from ndf_mi.files import replacing
+
+
+def read_png(path: Path, mode: str, size: tuple[int, int]) -> np.ndarray:
+    """Reads an 8-bit PNG of Pillow mode ``RGB`` or ``L`` and of ``size`` (w, h); uint8 (h, w, 3) or (h, w).
+
+    Raises:
+        InputError: missing, not an image, truncated, of another mode or of another size.
+    """
+    kind = {"RGB": "8-bit RGB", "L": "8-bit, one channel"}[mode]
+    try:
+        with Image.open(path, formats=["PNG"]) as image:
+            if image.size != size:
+                found = f"{image.width} x {image.height} pixels"
+                raise InputError(path, found, f"{size[0]} x {size[1]}, as its camera in capture.json")
+            if image.mode != mode:
+                raise InputError(path, f"a PNG of mode {image.mode}", f"{kind} (mode {mode})")
+            return np.asarray(image)
+    except FileNotFoundError:
+        raise InputError(path, "no such file", f"a PNG, {kind}, {size[0]} x {size[1]} pixels") from None
+    except InputError:
+        raise
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(path, f"a file that cannot be decoded ({error})", f"a whole PNG, {kind}") from None
+
+
+def read_image(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """(h, w, 3) float32 sRGB in [0, 1]; errors as ``read_png``."""
+    return read_png(path, "RGB", size).astype(np.float32) / np.float32(255)
+
+
+def read_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """(h, w) bool, True on the performer.
+
+    Raises:
+        InputError: as ``read_png``; or the mask is empty or holds values other than 0 and 255.
+    """
+    mask = read_png(path, "L", size)
+    other = np.setdiff1d(mask, [0, 255])
+    if other.size:
+        raise InputError(path, f"a mask with the value {other[0]}", "0 (background) and 255 (performer) only")
+    if not mask.any():
+        raise InputError(path, "an empty mask", "some pixels of 255 (performer)")
+    return mask > 0
+
+
+def write_image(path: Path, image: np.ndarray) -> None:
+    """Writes (h, w, 3) sRGB, float in [0, 1] (rounded and clipped) or uint8, as an 8-bit PNG."""
+    if image.dtype != np.uint8:
+        image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
+    with replacing(path) as beside:
+        Image.fromarray(image).save(beside, format="PNG")
+
+
+def write_mask(path: Path, mask: np.ndarray) -> None:
+    """Writes (h, w) bool as an 8-bit, one-channel PNG of 0 and 255."""
+    with replacing(path) as beside:
+        Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(beside, format="PNG")
+
+
+def undistort_image(image: np.ndarray, camera: Camera, background: np.ndarray) -> np.ndarray:
+    """(h, w, 3) as ``camera.pinhole()`` would have seen it, bilinear; ``background`` where the camera saw nothing."""
+    at = _source_positions(camera)
+    channels = [
+        map_coordinates(image[..., i], at, order=1, mode="constant", cval=float(background[i])) for i in range(3)
+    ]
+    return np.stack(channels, axis=-1).astype(np.float32)
+
+
+def undistort_mask(mask: np.ndarray, camera: Camera) -> np.ndarray:
+    """(h, w) bool as ``camera.pinhole()`` would have seen it: the nearest pixel's."""
+    return map_coordinates(mask.astype(np.uint8), _source_positions(camera), order=0, mode="constant", cval=0) > 0
+
+
+def _source_positions(camera: Camera) -> np.ndarray:
+    """(2, h, w) row and column (0 at a centre) in the distorted image of each pixel of the pinhole image."""
+    ideal = camera.pinhole()
+    rows, columns = np.mgrid[0 : ideal.h, 0 : ideal.w] + 0.5
+    normalised = np.stack([(columns - ideal.cx) / ideal.fl_x, (rows - ideal.cy) / ideal.fl_y], axis=-1).reshape(-1, 2)
+    seen = camera.distort(normalised) * [camera.fl_x, camera.fl_y] + [camera.cx, camera.cy] - 0.5
+    return seen.T[::-1].reshape(2, ideal.h, ideal.w)

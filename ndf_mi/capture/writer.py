@@ -1,0 +1,56 @@
+"""Writes a capture, its description last: a folder without ``capture.json`` is one that isn't finished."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ndf_mi.body.body import Body
+from ndf_mi.body.poses import Poses
+from ndf_mi.capture.document import FILE_NAME, Document
+from ndf_mi.capture.images import write_image, write_mask
+from ndf_mi.files import write_json
+
+
+class CaptureWriter:
+    """Writes images and masks one by one, then ``finish`` writes the body, the poses and ``capture.json``.
+
+    Args:
+        path: the capture's folder; made when the first file is written.
+        document: what ``capture.json`` shall say.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], document: Document) -> None:
+        self.path = Path(path)
+        self.document = document
+
+    def files(self, camera: str, frame: int) -> tuple[Path, Path]:
+        """The image's and the mask's path."""
+        patterns = (self.document.image_pattern, self.document.mask_pattern)
+        image, mask = (self.path / pattern.format(camera=camera, frame=frame) for pattern in patterns)
+        return image, mask
+
+    def has(self, camera: str, frame: int) -> bool:
+        """Whether both the image and the mask are there; files are renamed into place, so they are whole."""
+        return all(file.is_file() for file in self.files(camera, frame))
+
+    def write(self, camera: str, frame: int, image: np.ndarray, mask: np.ndarray) -> None:
+        """Writes one image, (h, w, 3) sRGB float in [0, 1] or uint8, and its mask, (h, w) bool.
+
+        Raises:
+            ValueError: a shape is not the camera's.
+        """
+        of = self.document.cameras[camera]
+        if image.shape != (of.h, of.w, 3) or mask.shape != (of.h, of.w):
+            raise ValueError(f"camera {camera} is {of.h} x {of.w}, not {image.shape} with a mask {mask.shape}")
+        image_file, mask_file = self.files(camera, frame)
+        write_image(image_file, image)
+        write_mask(mask_file, mask)
+
+    def finish(self, body: Body, poses: Poses) -> None:
+        """Writes the body and the poses, and, now that all is there, ``capture.json``."""
+        body.write(self.path / "body.npz")
+        poses.write(self.path / "poses.npz")
+        write_json(self.path / FILE_NAME, self.document.as_json())

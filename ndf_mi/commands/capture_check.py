@@ -1,0 +1,32 @@
+"""``ndf-mi capture check``: says exactly what is wrong with a capture."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+
+@dataclass
+class CaptureCheck:
+    """Check a capture's folder: lists everything that is wrong with it, or says what it holds."""
+
+    path: Annotated[Path, tyro.conf.Positional]
+    """The capture's folder."""
+
+    def run(self) -> int:
+        """Prints the problems on stderr and returns 2, or prints a summary and returns 0."""
+        from ndf_mi.capture.capture import Capture
+        from ndf_mi.capture.check import problems, summary
+
+        found = problems(self.path)
+        for problem in found:
+            print(f"ndf-mi: error: {problem}", file=sys.stderr)
+        if found:
+            print(f"{len(found)} problem{'s' if len(found) > 1 else ''}", file=sys.stderr)
+            return 2
+        print(summary(Capture.read(self.path)))
+        return 0
