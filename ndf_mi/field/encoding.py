@@ -1,0 +1,64 @@
+"""Encodings of coordinates: frequency (γ) and the multiresolution hash grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import drjit.nn as nn
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.field.presets import Preset
+
+
+def frequency(values: Sequence[mi.Float], octaves: int) -> list[mi.Float]:
+    """γ: each value raw, then its sine and cosine at 2⁰ … 2^(octaves−1), without a factor π.
+
+    Ordered as the values first, then octave by octave: sines of all values, cosines of all values. Returns
+    ``len(values) · (1 + 2·octaves)`` entries. Sines of each octave are evaluated afresh rather than by the double-angle
+    recurrence, which loses a bit an octave.
+    """
+    out = list(values)
+    for octave in range(octaves):
+        pairs = [dr.sincos(v * float(2**octave)) for v in values]
+        out += [s for s, _ in pairs]
+        out += [c for _, c in pairs]
+    return out
+
+
+def frequency_width(values: int, octaves: int) -> int:
+    """Number of entries that :func:`frequency` returns for so many values."""
+    return values * (1 + 2 * octaves)
+
+
+class GridEncoding:
+    """A multiresolution hash grid over (ũ, ṽ, l̃), coarser along l (Müller et al. 2022, *Instant Neural Graphics Primitives*).
+
+    The table is not kept here but handed to each call, so that it can be a parameter of a medium or of an optimiser.
+    """
+
+    def __init__(self, preset: Preset) -> None:
+        growth = (preset.grid_finest / preset.grid_base) ** (1.0 / (preset.grid_levels - 1))
+        self._encoding = nn.HashGridEncoding(
+            mi.Float, 3, n_levels=preset.grid_levels, n_features_per_level=preset.grid_features,
+            hashmap_size=preset.grid_entries, base_resolution=preset.grid_base, per_level_scale=growth,
+        )
+        self._encoding.data = None
+        self._l_scale = preset.grid_l_scale
+        self.width = preset.grid_levels * preset.grid_features
+        self.size = int(self._encoding.n_params)
+
+    def initial(self, rng: np.random.Generator) -> np.ndarray:
+        """A fresh table, uniform in ±1e-4; float32, shape (size,)."""
+        return rng.uniform(-1e-4, 1e-4, self.size).astype(np.float32)
+
+    def __call__(self, table: mi.Float, u: Any, active: mi.Bool | bool = True) -> list[mi.Float]:
+        """Features at ũ (three values in the unit cube, clamped to it); differentiable in the table and in ũ."""
+        u = [dr.clip(u[0], 0.0, 1.0), dr.clip(u[1], 0.0, 1.0), dr.clip(u[2], 0.0, 1.0) * self._l_scale]
+        self._encoding.data = table
+        try:
+            return list(self._encoding(u, active))
+        finally:
+            self._encoding.data = None

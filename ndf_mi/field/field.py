@@ -1,0 +1,241 @@
+"""The neural field of NDF: pose features, deformation net, density and colour, on given coordinates.
+
+It knows nothing of meshes, scenes or files: its input is the projected point (u, v, l) scaled to the unit cube.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import drjit as dr
+import drjit.nn as nn
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.colour import srgb_to_linear
+from ndf_mi.field.encoding import GridEncoding, frequency
+from ndf_mi.field.layers import Layer, initial_weights, layout
+from ndf_mi.field.presets import Preset
+from ndf_mi.numerics import expm1, softplus
+
+
+class Field:
+    """The networks of a preset with their weights, before a pose is given.
+
+    Attributes:
+        preset: the architecture.
+        joints: number J of the body's joints; the pose vector has 3·J entries.
+        weights: flat float32 vector of all layers, in the order of :func:`ndf_mi.field.layers.layout`.
+        grid: flat float32 hash table, or None where the preset has none.
+    """
+
+    def __init__(self, preset: Preset, joints: int, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        self.preset = preset
+        self.joints = joints
+        self.layers = layout(preset, joints)
+        self.weights = mi.Float(initial_weights(self.layers, rng))
+        self._encoding = GridEncoding(preset) if preset.encoding == "grid" else None
+        self.grid: mi.Float | None = mi.Float(self._encoding.initial(rng)) if self._encoding else None
+
+    @property
+    def size(self) -> int:
+        """Number of the networks' weights, without the hash table."""
+        return sum(layer.size for layer in self.layers.values())
+
+    @property
+    def majorant(self) -> float:
+        """A bound strictly above every density in 1/m, known from the activation alone."""
+        return 1.05 * self.preset.density_limit
+
+    def bind(self, pose: mi.Float) -> BoundField:
+        """The field at one pose: pose features are computed and folded into biases, once for all samples.
+
+        Args:
+            pose: (3·J) axis-angles of the joints relative to their parents, in radians; the root's three are zero.
+        """
+        return BoundField(self, pose)
+
+
+class BoundField:
+    """A :class:`Field` at one pose. :meth:`batched` and :meth:`fused` give the same values from the same weights."""
+
+    def __init__(self, field: Field, pose: mi.Float) -> None:
+        self.preset = field.preset
+        self.majorant = field.majorant
+        self._layers = field.layers
+        self._encoding = field._encoding
+        self._grid = field.grid
+        self._packed: dict[str, tuple[Any, Any]] | None = None
+
+        features = mi.TensorXf(pose, (3 * field.joints, 1))
+        for i in range(len(self.preset.pose_layers)):
+            weight, bias, _ = _split(field.weights, self._layers[f"pose{i}"])
+            features = dr.maximum(weight @ features + bias, 0)
+        self.features = features
+        self._tensors: dict[str, tuple[mi.TensorXf, mi.TensorXf]] = {}
+        for name, layer in self._layers.items():
+            if not name.startswith("pose"):
+                weight, bias, pose_weight = _split(field.weights, layer)
+                self._tensors[name] = (weight, bias if pose_weight is None else pose_weight @ features + bias)
+
+    def batched(self, u: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f]:
+        """Density and colour by dense matrix products over all samples; for evaluated code.
+
+        Args:
+            u: N points (u*, v*, l*) in the unit cube; every lane finite.
+            d: N unit view directions in world space.
+
+        Returns:
+            σ in 1/m, in [0, `density_limit`], and linear colour in [0, 1].
+        """
+        return self._evaluate(_Batched(self._tensors, dr.width(u)), u, d)
+
+    def fused(self, u: mi.Point3f, d: mi.Vector3f, active: mi.Bool | bool = True) -> tuple[mi.Float, mi.Color3f]:
+        """The same through cooperative vectors: the only form that may be traced inside a symbolic loop, as in a medium.
+
+        Call :meth:`pack` beforehand, outside of any symbolic code.
+        """
+        if self._packed is None:
+            raise RuntimeError("BoundField.fused: call pack() first, outside of symbolic code")
+        return self._evaluate(_Fused(self._packed), u, d, active)
+
+    def pack(self) -> None:
+        """Lays the weights out for :meth:`fused`; attached, so that gradients reach the field's weights."""
+        names = list(self._tensors)
+        flat = [t if t.ndim == 2 and t.shape[1] > 1 else dr.ravel(t) for name in names for t in self._tensors[name]]
+        views = nn.pack(*[mi.TensorXf(t) for t in flat], layout="training")
+        self._packed = {name: (views[2 * i], views[2 * i + 1]) for i, name in enumerate(names)}
+
+    def _evaluate(self, run: _Engine, u: Any, d: Any, active: mi.Bool | bool = True) -> tuple[mi.Float, mi.Color3f]:
+        p = self.preset
+        if p.deformation_layers:
+            h = self._chain(run, "deform", len(p.deformation_layers), run.join(frequency(list(u), p.deformation_octaves)))
+            delta = run.rows(run.linear("deform_out", h))
+            u = mi.Point3f(*[a + p.deformation_scale * b for a, b in zip(list(u), delta, strict=True)])
+
+        encoded = self._encode(u, active)
+        h = x = run.join(encoded)
+        for i in range(len(p.density_layers)):
+            if p.density_skip > 0 and i == p.density_skip:
+                h = run.join(x, h)
+            h = run.relu(run.linear(f"density{i}", h))
+        out = run.linear("density_out", h)
+        if p.feature_width:
+            head, h = run.head(out)
+        else:
+            head = run.rows(out)[0]
+        sigma = self._density(head)
+
+        for i in range(len(p.colour_linear)):
+            h = run.linear(f"linear{i}", h)
+        h = run.join(h, frequency(list(d), p.direction_octaves))
+        h = self._chain(run, "colour", len(p.colour_layers), h)
+        c = mi.Color3f(*run.rows(run.linear("colour_out", h)))
+        return sigma, srgb_to_linear(dr.fma(dr.tanh(0.5 * c), 0.5, 0.5))
+
+    def _encode(self, u: Any, active: mi.Bool | bool) -> list[mi.Float]:
+        if self._encoding is None:
+            return frequency(list(u), self.preset.octaves)
+        return self._encoding(self._grid, u, active)
+
+    def _density(self, z: mi.Float) -> mi.Float:
+        """Activation and saturation."""
+        p = self.preset
+        if p.density_activation == "softplus":
+            a = softplus(z + p.density_bias)
+        else:
+            a = dr.maximum(z, 0)
+        return -p.density_limit * expm1(a * (-p.density_gain / p.density_limit))
+
+    @staticmethod
+    def _chain(run: _Engine, name: str, count: int, h: Any) -> Any:
+        for i in range(count):
+            h = run.relu(run.linear(f"{name}{i}", h))
+        return h
+
+
+def _split(weights: mi.Float, layer: Layer) -> tuple[mi.TensorXf, mi.TensorXf, mi.TensorXf | None]:
+    """A layer's matrix (outputs, inputs), bias (outputs, 1) and pose columns (outputs, pose), as attached gathers."""
+    columns = layer.inputs + layer.pose
+
+    def block(first: int, count: int) -> mi.TensorXf:
+        index = dr.arange(mi.UInt32, layer.outputs * count)
+        row = index // count
+        return mi.TensorXf(dr.gather(mi.Float, weights, layer.offset + row * columns + first + (index - row * count)),
+                           (layer.outputs, count))
+
+    bias = dr.gather(mi.Float, weights, layer.offset + layer.outputs * columns + dr.arange(mi.UInt32, layer.outputs))
+    return (block(0, layer.inputs), mi.TensorXf(bias, (layer.outputs, 1)),
+            block(layer.inputs, layer.pose) if layer.pose else None)
+
+
+class _Engine(Protocol):
+    """What the evaluation needs of a way to run layers: `join` parts, apply a layer, ReLU, and take rows out again."""
+
+    def join(self, *parts: Any) -> Any: ...
+    def linear(self, name: str, x: Any) -> Any: ...
+    def relu(self, x: Any) -> Any: ...
+    def rows(self, x: Any) -> list[mi.Float]: ...
+    def head(self, x: Any) -> tuple[mi.Float, Any]: ...
+
+
+class _Batched:
+    """Tensors of shape (features, N)."""
+
+    def __init__(self, tensors: dict[str, tuple[mi.TensorXf, mi.TensorXf]], width: int) -> None:
+        self._tensors = tensors
+        self._width = width
+
+    def join(self, *parts: Any) -> mi.TensorXf:
+        arrays: list[Any] = []
+        rows = 0
+        for part in parts:
+            if isinstance(part, list):
+                arrays += [p if dr.width(p) == self._width else p + dr.zeros(mi.Float, self._width) for p in part]
+                rows += len(part)
+            else:
+                arrays.append(part.array)
+                rows += part.shape[0]
+        return mi.TensorXf(arrays[0] if len(arrays) == 1 else dr.concat(arrays), (rows, self._width))
+
+    def linear(self, name: str, x: mi.TensorXf) -> mi.TensorXf:
+        weight, bias = self._tensors[name]
+        return weight @ x + bias
+
+    def relu(self, x: mi.TensorXf) -> mi.TensorXf:
+        return dr.maximum(x, 0)
+
+    def rows(self, x: mi.TensorXf) -> list[mi.Float]:
+        index = dr.arange(mi.UInt32, self._width)
+        return [dr.gather(mi.Float, x.array, index + row * self._width) for row in range(x.shape[0])]
+
+    def head(self, x: mi.TensorXf) -> tuple[mi.Float, mi.TensorXf]:
+        index = dr.arange(mi.UInt32, self._width)
+        rest = dr.arange(mi.UInt32, (x.shape[0] - 1) * self._width) + self._width
+        return (dr.gather(mi.Float, x.array, index),
+                mi.TensorXf(dr.gather(mi.Float, x.array, rest), (x.shape[0] - 1, self._width)))
+
+
+class _Fused:
+    """Cooperative vectors, one a lane."""
+
+    def __init__(self, views: dict[str, tuple[Any, Any]]) -> None:
+        self._views = views
+
+    def join(self, *parts: Any) -> Any:
+        return nn.CoopVec(*[entry for part in parts for entry in part])
+
+    def linear(self, name: str, x: Any) -> Any:
+        weight, bias = self._views[name]
+        return nn.matvec(weight, x, bias)
+
+    def relu(self, x: Any) -> Any:
+        return dr.maximum(x, 0)
+
+    def rows(self, x: Any) -> list[mi.Float]:
+        return list(x)
+
+    def head(self, x: Any) -> tuple[mi.Float, Any]:
+        entries = list(x)
+        return entries[0], nn.CoopVec(*entries[1:])

@@ -1,0 +1,85 @@
+"""Which layers a preset has, what goes into each, and where its weights lie in the one flat vector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ndf_mi.field.encoding import frequency_width
+from ndf_mi.field.presets import Preset
+
+
+@dataclass(frozen=True)
+class Layer:
+    """An affine layer. Its inputs are joined in the order given; `pose` stands for the pose features, which do not change
+    from sample to sample and therefore come last, so that their columns can be folded into the bias once a pose."""
+
+    name: str
+    inputs: int
+    """Width of the inputs that change with the sample."""
+    pose: int
+    """Width of the pose features that are joined, or 0."""
+    outputs: int
+    relu: bool
+    offset: int = 0
+    """Where the (outputs, inputs + pose) matrix starts in the flat vector, row by row; the bias follows it."""
+
+    @property
+    def size(self) -> int:
+        """Number of weights, bias included."""
+        return self.outputs * (self.inputs + self.pose + 1)
+
+
+def layout(preset: Preset, joints: int) -> dict[str, Layer]:
+    """The layers of a preset for a body of so many joints, by name, in the order of the flat vector.
+
+    Names: ``pose0…`` (pose features), ``deform0…`` (D), ``density0…`` and ``density_out`` (M_σ), ``linear0…``, ``colour0…``
+    and ``colour_out`` (M_c).
+    """
+    layers: list[Layer] = []
+
+    def add(name: str, inputs: int, pose: int, outputs: int, relu: bool = True) -> int:
+        offset = layers[-1].offset + layers[-1].size if layers else 0
+        layers.append(Layer(name, inputs, pose, outputs, relu, offset))
+        return outputs
+
+    width = 3 * joints
+    for i, w in enumerate(preset.pose_layers):
+        width = add(f"pose{i}", width, 0, w)
+    pose = width
+
+    if preset.deformation_layers:
+        width = frequency_width(3, preset.deformation_octaves)
+        for i, w in enumerate(preset.deformation_layers):
+            width = add(f"deform{i}", width, pose if i == 0 else 0, w)
+        add("deform_out", width, 0, 3, relu=False)
+
+    encoded = frequency_width(3, preset.octaves) if preset.encoding == "frequency" else preset.grid_levels * preset.grid_features
+    width = encoded
+    for i, w in enumerate(preset.density_layers):
+        joined = preset.density_skip > 0 and i == preset.density_skip
+        width = add(f"density{i}", width + (encoded if joined else 0), pose if i == 0 or joined else 0, w)
+    add("density_out", width, 0, 1 + preset.feature_width, relu=False)
+
+    width = preset.feature_width or width
+    for i, w in enumerate(preset.colour_linear):
+        width = add(f"linear{i}", width, pose if i == 1 else 0, w, relu=False)
+    joined_pose = pose if not preset.colour_linear else 0
+    width += frequency_width(3, preset.direction_octaves)
+    for i, w in enumerate(preset.colour_layers):
+        width = add(f"colour{i}", width, joined_pose if i == 0 else 0, w)
+    add("colour_out", width, 0, 3, relu=False)
+    return {layer.name: layer for layer in layers}
+
+
+def initial_weights(layers: dict[str, Layer], rng: np.random.Generator) -> np.ndarray:
+    """Fresh weights, float32: uniform in ±1/√(fan-in) for matrices and biases, D's last layer at a hundredth of that so that
+    training starts from the undeformed projection."""
+    parts = []
+    for layer in layers.values():
+        bound = 1.0 / np.sqrt(layer.inputs + layer.pose)
+        if layer.name == "deform_out":
+            bound *= 0.01
+        parts.append(rng.uniform(-bound, bound, layer.size))
+    return np.concatenate(parts).astype(np.float32)

@@ -1,0 +1,139 @@
+"""The networks' shapes as data: `paper` is the published architecture, `fast` what we would choose today, `tiny` for tests."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from ndf_mi.errors import InputError
+
+
+@dataclass(frozen=True)
+class Preset:
+    """Everything that decides a field's architecture. Every entry is an option of ``ndf-mi optimise``.
+
+    Symbols follow the paper: u* is the projected point (u, v, l) scaled to the unit cube, ũ = u* + `deformation_scale`·D(u*, θ),
+    and γ the frequency encoding.
+    """
+
+    name: str = "fast"
+    band: float = 0.08
+    """Half width δ_N of the band around the body, in metres."""
+
+    band_fade: float = 0.1
+    """Outer fraction of the band over which the density fades smoothly to nothing, so that the field is continuous at its edge;
+    0 for the paper's hard edge."""
+
+    pose_layers: tuple[int, ...] = (64, 16)
+    """Widths of the pose network; the last is the number of pose features."""
+
+    deformation_layers: tuple[int, ...] = (32,)
+    """Hidden widths of the deformation net D."""
+
+    deformation_octaves: int = 4
+    """Octaves of γ on u* where it enters D."""
+
+    deformation_scale: float = 0.02
+    """Factor on D's output, in units of the unit cube."""
+
+    encoding: Literal["frequency", "grid"] = "grid"
+    """How ũ enters the density network: γ, or a multiresolution hash grid."""
+
+    octaves: int = 10
+    """Octaves of γ on ũ (`frequency` only)."""
+
+    grid_levels: int = 8
+    grid_features: int = 2
+    grid_entries: int = 2**16
+    """Entries a level of the hash table at most (`grid` only)."""
+
+    grid_base: int = 16
+    grid_finest: int = 512
+    """Resolutions of the coarsest and the finest level, in cells over u and v (`grid` only)."""
+
+    grid_l_scale: float = 0.125
+    """Resolution along l relative to that along u and v (`grid` only)."""
+
+    density_layers: tuple[int, ...] = (64, 64)
+    """Hidden widths of the density network M_σ."""
+
+    density_skip: int = 0
+    """After this many layers γ(ũ) and the pose features are joined again; 0 for never."""
+
+    feature_width: int = 16
+    """Width of the features that the density network hands to the colour network; 0: its last hidden layer as it is."""
+
+    colour_linear: tuple[int, ...] = ()
+    """Linear layers between the density network and the view direction; the pose joins at the second."""
+
+    colour_layers: tuple[int, ...] = (64,)
+    """Hidden widths of the colour network M_c after the view direction has joined."""
+
+    direction_octaves: int = 2
+    """Octaves of γ on the view direction."""
+
+    density_activation: Literal["relu", "softplus"] = "softplus"
+    """Shape of the density's activation below saturation."""
+
+    density_limit: float = 500.0
+    """The least upper bound of the density in 1/m: σ = limit·(1 − exp(−a/limit)), a the activation. It is what makes a
+    majorant known by construction; far below it σ equals a."""
+
+    density_gain: float = 100.0
+    """Factor from the network's output to the activation in 1/m."""
+
+    density_bias: float = -2.0
+    """Added to the network's output before the activation (`softplus` only); it sets how thin the field starts."""
+
+    def __post_init__(self) -> None:
+        for key in ("band", "density_limit", "density_gain"):
+            if not getattr(self, key) > 0:
+                raise InputError(f"preset option {key}", repr(getattr(self, key)), "a number above 0")
+        if not 0 <= self.band_fade < 1:
+            raise InputError("preset option band_fade", repr(self.band_fade), "a fraction in [0, 1)")
+        for key in ("pose_layers", "deformation_layers", "density_layers", "colour_layers", "colour_linear"):
+            widths = getattr(self, key)
+            if not all(isinstance(w, int) and w > 0 for w in widths) or (not widths and key in ("pose_layers", "density_layers")):
+                raise InputError(f"preset option {key}", repr(widths), "a list of widths above 0")
+        for key, allowed in (("encoding", ("frequency", "grid")), ("density_activation", ("relu", "softplus"))):
+            if getattr(self, key) not in allowed:
+                raise InputError(f"preset option {key}", repr(getattr(self, key)), " or ".join(allowed))
+        if self.grid_levels < 2 or self.grid_finest <= self.grid_base:
+            raise InputError("preset option grid_levels, grid_finest", f"{self.grid_levels}, {self.grid_finest}",
+                             "at least 2 levels, and a finest resolution above the base")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The options as JSON-ready values."""
+        return {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any], where: str = "preset") -> Preset:
+        """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
+        known = {f.name for f in dataclasses.fields(cls)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            raise InputError(where, f"the option {unknown[0]!r}", "one of " + ", ".join(sorted(known)))
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+
+
+PRESETS: dict[str, Preset] = {
+    "fast": Preset(),
+    "tiny": Preset(
+        name="tiny", pose_layers=(8, 4), deformation_layers=(8,), deformation_octaves=2, grid_levels=4, grid_entries=2**10,
+        grid_base=8, grid_finest=32, density_layers=(16,), feature_width=8, colour_layers=(16,), direction_octaves=1,
+    ),
+    "paper": Preset(
+        name="paper", pose_layers=(256, 128), deformation_layers=(128,), deformation_octaves=10, deformation_scale=0.001,
+        encoding="frequency", octaves=10, density_layers=(256,) * 7, density_skip=5, feature_width=0,
+        colour_linear=(256, 256), colour_layers=(128,), direction_octaves=4, density_activation="relu",
+        density_gain=1.0, density_bias=0.0, density_limit=10000.0, band_fade=0.0,
+    ),
+}
+
+
+def preset(name: str) -> Preset:
+    """The preset of that name. Raises InputError naming those there are."""
+    if name not in PRESETS:
+        raise InputError("preset", repr(name), "one of " + ", ".join(PRESETS))
+    return PRESETS[name]

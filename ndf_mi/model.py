@@ -1,0 +1,89 @@
+"""N(x, d, θ) = (c, σ): projection, deformation and field composed; what plugins, learning and comparison hold."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from ndf_mi.body import Body
+from ndf_mi.field import Field, Preset
+from ndf_mi.projection import PosedSurface, Surface
+from ndf_mi.render.quadrature import FieldSample
+
+
+class Model:
+    """A neural deformable field around a body, before a pose is given.
+
+    Attributes:
+        surface: the body's triangles, texels and search tree.
+        field: the networks.
+    """
+
+    def __init__(self, body: Body, preset: Preset, seed: int = 0) -> None:
+        self.surface = Surface(body.faces, body.uv, body.uv_faces, body.template)
+        self.field = Field(preset, len(body.parents), seed)
+
+    @property
+    def band(self) -> float:
+        """The band's half width δ_N in metres."""
+        return self.field.preset.band
+
+    def pose(self, vertices: mi.Float, pose: mi.Float) -> PosedModel:
+        """The field around a posed body.
+
+        Args:
+            vertices: flat (3·V) world positions; may carry gradients.
+            pose: flat (3·J) axis-angles, the root's three zero; may carry gradients.
+        """
+        return PosedModel(self.field, self.surface.pose(vertices, self.band), pose)
+
+
+class PosedModel:
+    """A :class:`Model` at one pose: a `VolumeField` for the quadrature, and the medium's coefficients.
+
+    Args:
+        field: the networks.
+        surface: the posed body, reusable as long as the pose stays.
+        pose: flat (3·J) axis-angles.
+    """
+
+    def __init__(self, field: Field, surface: PosedSurface, pose: mi.Float) -> None:
+        self.surface = surface
+        self.bound = field.bind(pose)
+        self.bbox = surface.bbox
+        self.majorant = field.majorant
+        self._band = field.preset.band
+        self._fade = field.preset.band_fade
+
+    def near(self, x: mi.Point3f) -> mi.Bool:
+        """False only where x is outside the band for certain; cheap."""
+        return self.surface.near(x)
+
+    def locate(self, x: mi.Point3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+        """The closest triangle of each point, detached, and whether the point is in the band."""
+        triangle = self.surface.closest(x, active)
+        found = self.surface.project_onto(triangle, x)
+        return triangle, active & found.valid
+
+    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: mi.UInt32, active: mi.Bool) -> FieldSample:
+        """Density, colour and coordinates at located points through batched networks; attached to x, vertices and weights."""
+        return self._evaluate(x, d, handle, active, fused=False)
+
+    def fused(self, x: mi.Point3f, d: mi.Vector3f, active: mi.Bool | bool = True) -> FieldSample:
+        """Density, colour and coordinates at any point, for symbolic code. Density is zero outside the band."""
+        active = mi.Bool(active) & self.surface.near(x)
+        triangle = self.surface.closest(x, active)
+        return self._evaluate(x, d, triangle, active, fused=True)
+
+    def _evaluate(self, x: mi.Point3f, d: mi.Vector3f, triangle: mi.UInt32, active: mi.Bool, fused: bool) -> FieldSample:
+        found = self.surface.project_onto(triangle, x)
+        active = active & found.valid
+        # A non-finite input in a masked lane would poison every weight's gradient.
+        l = dr.select(active, found.l, 0.0)
+        uv = dr.select(active, found.uv, 0.0)
+        u = mi.Point3f(uv.x, uv.y, dr.fma(l, 0.5 / self._band, 0.5))
+        sigma, colour = self.bound.fused(u, d, active) if fused else self.bound.batched(u, d)
+        if self._fade > 0:
+            s = dr.clip((1.0 - dr.abs(l) / self._band) / self._fade, 0.0, 1.0)
+            sigma *= s * s * dr.fma(s, -2.0, 3.0)
+        return FieldSample(dr.select(active, sigma, 0.0), colour, mi.Point3f(uv.x, uv.y, l), found.normal)

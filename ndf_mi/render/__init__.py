@@ -1,0 +1,1 @@
+"""How samples of a field become pixels: emission and absorption by quadrature, sampling, the shell."""

@@ -1,0 +1,68 @@
+"""Where a ray is sampled, and how the few samples that matter are gathered into arrays of a steady size."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+QUANTUM = 2048
+"""Sizes of compacted arrays are multiples of this: a new size means new kernels."""
+
+
+def box_interval(box: mi.BoundingBox3f, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
+    """Where rays cross an axis-aligned box, in front of their origins and within `maxt`.
+
+    Returns:
+        hit, near, far; near = far = 0 where the box is missed.
+    """
+    hit, near, far = box.ray_intersect(ray)
+    near = dr.maximum(near, 0.0)
+    far = dr.minimum(far, ray.maxt)
+    hit &= far > near
+    return hit, dr.select(hit, near, 0.0), dr.select(hit, far, 0.0)
+
+
+def stratified(near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | None) -> tuple[mi.Float, mi.Float]:
+    """Positions and widths of `samples` equal strata between near and far, ray by ray.
+
+    Args:
+        near, far: N values.
+        jitter: N·samples values in [0, 1), where in its stratum each sample lies; None for the middle.
+
+    Returns:
+        t and the stratum's width δ, both N·samples, a ray's samples beside one another in rising t. The last stratum ends at
+        far: no interval is ever infinite.
+    """
+    rays = dr.width(near)
+    index = dr.arange(mi.UInt32, rays * samples)
+    ray = index // samples
+    offset = mi.Float(index - ray * samples) + (0.5 if jitter is None else jitter)
+    width = dr.gather(mi.Float, (far - near) / samples, ray)
+    return dr.fma(offset, width, dr.gather(mi.Float, near, ray)), width
+
+
+class Compaction:
+    """Chooses the lanes where a mask holds, padded to a size that seldom changes.
+
+    Sizes are Python numbers and enter kernels: each new one costs a compilation. The size therefore only grows, with a margin,
+    and starts from `size` where that is given.
+    """
+
+    def __init__(self, size: int = 0, margin: float = 1.25) -> None:
+        self.size = size
+        self.margin = margin
+
+    def __call__(self, mask: mi.Bool) -> tuple[mi.UInt32, mi.Bool, int]:
+        """Returns the chosen lanes' indices (0 in the padding), which entries are real, and how many those are. Evaluates `mask`."""
+        chosen = dr.compress(mask)
+        count = dr.width(chosen)
+        if count > self.size:
+            self.size = -(-int(count * self.margin) // QUANTUM) * QUANTUM
+        self.size = max(self.size, QUANTUM)
+        lane = dr.arange(mi.UInt32, self.size)
+        real = lane < dr.opaque(mi.UInt32, count)
+        if count == 0:
+            return dr.zeros(mi.UInt32, self.size), real, 0
+        index = dr.gather(mi.UInt32, chosen, lane, real)
+        dr.eval(index, real)
+        return index, real, count
