@@ -20,11 +20,11 @@ apt_install() {
 }
 
 suitable() { "$1" -c 'import sys, venv; sys.exit(sys.version_info < (3, 10))' 2> /dev/null; }
-complete() { "$1" -c 'import ensurepip' 2> /dev/null; }  # Debian keeps it in a package of its own
+makes_venvs() { "$1" -c 'import ensurepip' 2> /dev/null; }  # Debian keeps it in a package of its own
 
 # Prints the first Python >= 3.10; one that can make virtual environments is preferred.
 find_python() {
-    for test in complete suitable; do
+    for test in makes_venvs suitable; do
         for name in ${PYTHON:-python3.13 python3.12 python3.11 python3.10 python3 python}; do
             if command -v "$name" > /dev/null && suitable "$name" && $test "$name"; then
                 echo "$name"
@@ -37,7 +37,7 @@ find_python() {
 
 ensure_python() {
     python=$(find_python) || python=""
-    if [ -z "$python" ] || ! complete "$python"; then
+    if [ -z "$python" ] || ! makes_venvs "$python"; then
         package=python3-venv
         [ -z "$python" ] || package=$("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
         apt_install "$package" || apt_install python3-venv ||
