@@ -1,0 +1,273 @@
+"""BVH motion files: a hierarchy of joints with channels, and a line of numbers a frame."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ndf_mi.errors import InputError
+
+_CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A motion of J joints over T frames, in the file's own length unit, y up. Parents precede their children.
+
+    Attributes:
+        name: what messages call the clip.
+        joint_names: J names as the file has them.
+        parents: (J,) int32, -1 for the root, which comes first.
+        offsets: (J, 3) float64, each joint relative to its parent at rest.
+        end_sites: joint index → (3,) offset of the end site below it.
+        frame_time: seconds between frames.
+        positions: (T, J, 3) float64, each joint relative to its parent, in the parent's frame.
+        rotations: (T, J, 3, 3) float64, relative to the parent.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    parents: np.ndarray
+    offsets: np.ndarray
+    end_sites: dict[int, np.ndarray]
+    frame_time: float
+    positions: np.ndarray
+    rotations: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.rotations)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first frame to the last."""
+        return (len(self) - 1) * self.frame_time
+
+    def at(self, times: np.ndarray) -> Clip:
+        """The clip at ``times``, (T',) seconds after its first frame: positions linear, rotations on the shortest arc.
+
+        The result's ``frame_time`` is the mean step of ``times``.
+
+        Raises:
+            InputError: a time before the first frame or after the last.
+        """
+        times = np.atleast_1d(np.asarray(times, dtype=np.float64))
+        slack = 1e-3 * self.frame_time
+        if len(times) == 0 or not (times.min() >= -slack and times.max() <= self.duration + slack):
+            found = "no times" if len(times) == 0 else f"times from {times.min():.4g} s to {times.max():.4g} s"
+            raise InputError(f"clip {self.name}", found, f"times from 0 s to {self.duration:.4g} s")
+        place = np.clip(times / self.frame_time, 0, len(self) - 1)
+        before = np.minimum(place.astype(np.int64), max(len(self) - 2, 0))
+        after = np.minimum(before + 1, len(self) - 1)
+        part = place - before
+        first = Rotation.from_matrix(self.rotations[before].reshape(-1, 3, 3))
+        turn = first.inv() * Rotation.from_matrix(self.rotations[after].reshape(-1, 3, 3))
+        weights = np.repeat(part, len(self.parents))[:, None]
+        rotations = (first * Rotation.from_rotvec(turn.as_rotvec() * weights)).as_matrix()
+        step = part[:, None, None]
+        return Clip(
+            self.name,
+            self.joint_names,
+            self.parents,
+            self.offsets,
+            self.end_sites,
+            float(np.mean(np.diff(times))) if len(times) > 1 else self.frame_time,
+            (1 - step) * self.positions[before] + step * self.positions[after],
+            rotations.reshape(len(times), -1, 3, 3),
+        )
+
+    def forward(self) -> tuple[np.ndarray, np.ndarray]:
+        """World rotations (T, J, 3, 3) and joint positions (T, J, 3)."""
+        rotations, positions = self.rotations.copy(), self.positions.copy()
+        for j, p in enumerate(self.parents):
+            if p >= 0:
+                rotations[:, j] = rotations[:, p] @ self.rotations[:, j]
+                positions[:, j] = positions[:, p] + np.einsum("tab,tb->ta", rotations[:, p], self.positions[:, j])
+        return rotations, positions
+
+
+def read_bvh(path: str | os.PathLike[str]) -> Clip:
+    """Reads a BVH file with one root. Channels may come in any order, positions on any joint; end sites are kept.
+
+    Rotations apply in the order in which the channels stand, intrinsically; angles are degrees in the file.
+
+    Raises:
+        InputError: naming the file and the line, what was found and what was expected.
+    """
+    path = Path(path)
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        raise InputError(path, "no such file", "a BVH file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, f"no text ({error})", "a BVH file") from error
+    reader = _Reader(path, lines)
+    skeleton = _Skeleton()
+    reader.expect("HIERARCHY")
+    reader.expect("ROOT")
+    _read_joint(reader, skeleton, -1)
+    reader.expect("MOTION")
+    return _read_motion(reader, skeleton)
+
+
+@dataclass
+class _Skeleton:
+    names: list[str] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    offsets: list[list[float]] = field(default_factory=list)
+    channels: list[list[str]] = field(default_factory=list)
+    ends: dict[int, np.ndarray] = field(default_factory=dict)
+
+
+class _Reader:
+    """The file's words one by one, remembering their lines; blank lines are passed over."""
+
+    def __init__(self, path: Path, lines: list[str]) -> None:
+        self.path = path
+        self.lines = lines
+        self.row = 0
+        self.words: list[str] = []
+
+    @property
+    def where(self) -> str:
+        return f"{self.path}, line {min(max(self.row, 1), max(len(self.lines), 1))}"
+
+    def word(self, expected: str) -> str:
+        while not self.words:
+            if self.row >= len(self.lines):
+                raise InputError(self.where, "the end of the file", expected, "the file is truncated")
+            self.words = self.lines[self.row].split()
+            self.row += 1
+        return self.words.pop(0)
+
+    def expect(self, word: str) -> None:
+        found = self.word(word)
+        if found.upper() != word.upper():
+            raise InputError(self.where, repr(found), word)
+
+    def number(self, expected: str) -> float:
+        return _number(self.where, self.word(expected), expected)
+
+    def rest(self, expected: str) -> str:
+        """The words left on this line, joined."""
+        first = self.word(expected)
+        text = " ".join([first, *self.words])
+        self.words = []
+        return text
+
+
+def _number(where: str, word: str, expected: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        raise InputError(where, repr(word), expected) from None
+    if not math.isfinite(value):
+        raise InputError(where, word, f"{expected}, finite")
+    return value
+
+
+def _read_joint(reader: _Reader, skeleton: _Skeleton, parent: int) -> None:
+    """A joint from its name to its closing brace, then its children, which stand inside it."""
+    name = reader.rest("a joint's name")
+    if name in skeleton.names:
+        raise InputError(reader.where, f"a second joint {name!r}", "names that differ")
+    joint = len(skeleton.names)
+    skeleton.names.append(name)
+    skeleton.parents.append(parent)
+    skeleton.channels.append([])
+    reader.expect("{")
+    skeleton.offsets.append(_read_offset(reader))
+    while (word := reader.word(f"JOINT, End Site or }} of joint {name}")) != "}":
+        match word.upper():
+            case "CHANNELS":
+                skeleton.channels[joint] = _read_channels(reader)
+            case "JOINT":
+                _read_joint(reader, skeleton, joint)
+            case "END":
+                reader.expect("Site")
+                reader.expect("{")
+                skeleton.ends[joint] = np.array(_read_offset(reader))
+                reader.expect("}")
+            case _:
+                raise InputError(reader.where, repr(word), f"CHANNELS, JOINT, End Site or }} of joint {name}")
+
+
+def _read_offset(reader: _Reader) -> list[float]:
+    reader.expect("OFFSET")
+    return [reader.number("three numbers after OFFSET") for _ in range(3)]
+
+
+def _read_channels(reader: _Reader) -> list[str]:
+    count = reader.word("the number of channels")
+    if not count.isdigit() or int(count) > 6:
+        raise InputError(reader.where, repr(count), "a number of channels from 0 to 6")
+    channels = [reader.word("a channel") for _ in range(int(count))]
+    known = {c.lower(): c for c in _CHANNELS}
+    for channel in channels:
+        if channel.lower() not in known:
+            raise InputError(reader.where, repr(channel), f"{count} of {', '.join(_CHANNELS)}")
+    named = [known[c.lower()] for c in channels]
+    if len(set(named)) < len(named):
+        raise InputError(reader.where, " ".join(named), "channels that differ")
+    return named
+
+
+def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
+    reader.expect("Frames:")
+    count = reader.word("the number of frames")
+    if not count.isdigit() or int(count) == 0:
+        raise InputError(reader.where, repr(count), "a number of frames above 0")
+    reader.expect("Frame")
+    reader.expect("Time:")
+    frame_time = reader.number("the seconds of a frame")
+    if frame_time <= 0:
+        raise InputError(reader.where, str(frame_time), "a frame time above 0")
+    width = sum(map(len, skeleton.channels))
+    values = np.empty((int(count), width))
+    for frame in range(int(count)):
+        words = reader.rest(f"frame {frame + 1} of {count}").split()
+        if len(words) != width:
+            raise InputError(reader.where, f"{len(words)} numbers", f"{width}, one a channel")
+        values[frame] = _numbers(reader.where, words)
+    positions, rotations = _decode(skeleton, values)
+    return Clip(
+        name=reader.path.stem,
+        joint_names=tuple(skeleton.names),
+        parents=np.array(skeleton.parents, dtype=np.int32),
+        offsets=np.array(skeleton.offsets),
+        end_sites=skeleton.ends,
+        frame_time=frame_time,
+        positions=positions,
+        rotations=rotations,
+    )
+
+
+def _numbers(where: str, words: list[str]) -> np.ndarray:
+    try:
+        row = np.array(words, dtype=np.float64)
+        if np.isfinite(row).all():
+            return row
+    except ValueError:
+        pass
+    return np.array([_number(where, word, "a number a channel") for word in words])
+
+
+def _decode(skeleton: _Skeleton, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Channel values (T, C) to local positions (T, J, 3) and rotations (T, J, 3, 3)."""
+    count = len(values)
+    positions = np.tile(np.array(skeleton.offsets), (count, 1, 1))
+    rotations = np.tile(np.eye(3), (count, len(skeleton.names), 1, 1))
+    at = 0
+    for joint, channels in enumerate(skeleton.channels):
+        for channel in channels:
+            if channel.endswith("position"):
+                positions[:, joint, "XYZ".index(channel[0])] = values[:, at]
+            else:
+                turn = Rotation.from_euler(channel[0], values[:, at : at + 1], degrees=True).as_matrix()
+                rotations[:, joint] = rotations[:, joint] @ turn
+            at += 1
+    return positions, rotations

@@ -1,0 +1,240 @@
+"""Playing a motion clip on a body: retargeting from a CMU-like BVH skeleton to a rig with the same joints."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ndf_mi.body.body import Body
+from ndf_mi.body.bvh import Clip, read_bvh
+from ndf_mi.body.poses import Poses
+from ndf_mi.errors import InputError
+
+ALIASES = {"LFingers": "LeftHandFinger1", "RFingers": "RightHandFinger1"}
+"""Joints that the CMU clips name otherwise than the ``cmu_mb`` rig."""
+
+_LIMBS = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Arm", "ForeArm"), ("ForeArm", "Hand"), ("Hand", "HandFinger1"))
+AIMS = {f"{side}{bone}": f"{side}{tip}" for side in ("Left", "Right") for bone, tip in _LIMBS}
+"""The bones whose rest directions are aligned, from the joint to the one they aim at: the limbs, in which a T-pose differs
+from an A-pose. Trunk, head and clavicles are not: there, the two skeletons place their joints differently inside bodies
+that stand alike. Feet and fingers follow the bone above them."""
+
+Place = Literal["world", "centre", "treadmill"]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """T poses of a body's J joints; fields as in `Poses`: (T, J, 3), (T, 3) and (T, 3) float32."""
+
+    pose: np.ndarray
+    root_rotation: np.ndarray
+    translation: np.ndarray
+
+
+def shipped_clips() -> tuple[str, ...]:
+    """The names of the clips that come with the package."""
+    files = resources.files("ndf_mi.body").joinpath("data").iterdir()
+    return tuple(sorted(Path(f.name).stem for f in files if f.name.endswith(".bvh")))
+
+
+def load_clip(name_or_path: str | os.PathLike[str]) -> Clip:
+    """A shipped clip by its name, or any BVH file by its path.
+
+    Raises:
+        InputError: neither such a clip nor such a file, or the file is no BVH.
+    """
+    names = shipped_clips()
+    if str(name_or_path) in names:
+        with resources.as_file(resources.files("ndf_mi.body") / "data" / f"{name_or_path}.bvh") as path:
+            return read_bvh(path)
+    if not Path(name_or_path).is_file():
+        raise InputError("motion", str(name_or_path), f"a BVH file or one of the clips {', '.join(names)}")
+    return read_bvh(name_or_path)
+
+
+def retarget(
+    body: Body,
+    clip: Clip,
+    times: np.ndarray | Sequence[float] | None = None,
+    *,
+    shape: np.ndarray | Sequence[float] | None = None,
+    place: Place = "world",
+) -> Motion:
+    """Plays ``clip`` on ``body``.
+
+    World rotations are carried over joint by joint, after the limbs' rest directions are aligned (`AIMS`). The path of
+    the hips is scaled by the ratio of the leg lengths, and lowered or raised as a whole until the feet stand on y = 0.
+
+    Args:
+        times: seconds after the clip's first frame; None for the clip's own frames.
+        shape: (B,) shape coefficients; the joints follow them.
+        place: ``world`` keeps the clip's path, ``centre`` brings the middle of its horizontal extent to the origin,
+            ``treadmill`` takes out all horizontal movement of the hips, so that the body stays above the origin.
+
+    Raises:
+        InputError: joints of the body that the clip lacks, a body without a rig, or a time outside the clip.
+    """
+    joints, columns = _shaped_joints(body, shape), _match(body, clip)
+    align = _alignment(body, clip, joints, columns)
+    own = np.arange(len(clip)) * clip.frame_time
+    some = own[np.unique(np.linspace(0, len(clip) - 1, min(len(clip), 240)).round().astype(int))]
+    whole = _play(body, clip.at(some), joints, columns, align)
+    played = _play(body, clip.at(own if times is None else np.asarray(times)), joints, columns, align)
+    path = played.translation.astype(np.float64)
+    path[:, 1] -= np.percentile(_lowest(body, whole, joints, shape), 5)
+    hips, all_hips = (_hip_centre(body, m, joints)[:, [0, 2]] for m in (played, whole))
+    if place == "centre":
+        path[:, [0, 2]] -= (all_hips.min(0) + all_hips.max(0)) / 2
+    elif place == "treadmill":
+        path[:, [0, 2]] -= hips
+    return Motion(played.pose, played.root_rotation, path.astype(np.float32))
+
+
+def pose_sequence(
+    body: Body,
+    clip: Clip,
+    frames: Sequence[int] | np.ndarray | None = None,
+    *,
+    rate: float = 30.0,
+    first: int = 0,
+    shape: np.ndarray | Sequence[float] | None = None,
+    place: Place = "world",
+) -> Poses:
+    """`Poses` of ``body`` playing ``clip``, skinned: frame number f shows the clip at (f - first)/rate seconds.
+
+    Args:
+        frames: frame numbers, ascending; None for all that the clip lasts.
+        rate: frames a second.
+        first: the frame number at which the clip begins.
+        shape, place: as in `retarget`.
+
+    Raises:
+        InputError: as `retarget`; a frame outside the clip.
+    """
+    from ndf_mi.body.skinning import skin
+
+    if frames is None:
+        frames = first + np.arange(int(np.floor(clip.duration * rate + 1e-6)) + 1)
+    frames = np.asarray(frames, dtype=np.int32)
+    motion = retarget(body, clip, (frames - first) / rate, shape=shape, place=place)
+    coefficients = None if shape is None else np.asarray(shape, dtype=np.float32)
+    rows = zip(motion.pose, motion.root_rotation, motion.translation, strict=True)
+    vertices = np.stack([np.asarray(skin(body, *row, coefficients)).reshape(-1, 3) for row in rows])
+    return Poses(frames, vertices, motion.pose, motion.root_rotation, motion.translation, coefficients)
+
+
+def _shaped_joints(body: Body, shape: np.ndarray | Sequence[float] | None) -> np.ndarray:
+    if not body.skinned:
+        raise InputError("body", "no skinning model", "a body with joints, parents and weights")
+    joints = np.asarray(body.joints, dtype=np.float64)
+    if shape is None:
+        return joints
+    if np.shape(shape) != (body.shape_count,):
+        raise InputError("shape", f"shape {np.shape(shape)}", f"({body.shape_count},)")
+    return joints if body.joint_dirs is None else joints + body.joint_dirs.astype(np.float64) @ np.asarray(shape)
+
+
+def _match(body: Body, clip: Clip) -> list[int]:
+    """For each joint of the body, the clip's."""
+    named = {ALIASES.get(name, name): j for j, name in enumerate(clip.joint_names)}
+    assert body.joint_names is not None
+    missing = [name for name in body.joint_names if name not in named]
+    if missing:
+        spare = [name for name in clip.joint_names if ALIASES.get(name, name) not in body.joint_names]
+        found = "no " + ", ".join(missing) + (f" (but {', '.join(spare)})" if spare else "")
+        raise InputError(f"clip {clip.name}", found, "the joints of the body's rig")
+    return [named[name] for name in body.joint_names]
+
+
+def _alignment(body: Body, clip: Clip, joints: np.ndarray, columns: list[int]) -> np.ndarray:
+    """(J, 3, 3): turns the body's rest pose into the clip's, limb by limb; each joint continues its parent's turn."""
+    rest = np.zeros((len(clip.parents), 3))
+    for j, p in enumerate(clip.parents):
+        rest[j] = clip.offsets[j] + (rest[p] if p >= 0 else 0)
+    names = body.joint_names or ()
+    turns = np.tile(np.eye(3), (len(names), 1, 1))
+    for j, (name, parent) in enumerate(zip(names, body.parents, strict=True)):  # type: ignore[arg-type]
+        if parent >= 0:
+            turns[j] = turns[parent]
+        if AIMS.get(name) in names:
+            tip = names.index(AIMS[name])
+            have, want = turns[j] @ (joints[tip] - joints[j]), rest[columns[tip]] - rest[columns[j]]
+            turns[j] = _between(have, want) @ turns[j]
+    return turns
+
+
+def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The smallest rotation that turns ``a`` to ``b``'s direction; the identity where either has no length."""
+    lengths = np.linalg.norm(a) * np.linalg.norm(b)
+    axis = np.cross(a, b)
+    sine = np.linalg.norm(axis)
+    if lengths < 1e-12 or sine < 1e-9 * lengths:
+        return np.eye(3)
+    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, a @ b)).as_matrix()
+
+
+def _play(body: Body, clip: Clip, joints: np.ndarray, columns: list[int], align: np.ndarray) -> Motion:
+    """Rotations and the hips' path, not yet grounded."""
+    rotations, positions = clip.forward()
+    world = rotations[:, columns] @ align
+    local = world.copy()
+    for j, p in enumerate(body.parents):  # type: ignore[arg-type]
+        if p >= 0:
+            local[:, j] = np.swapaxes(world[:, p], 1, 2) @ world[:, j]
+    pose = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_rotvec().reshape(len(clip), -1, 3)
+    pose[:, 0] = 0
+    names = list(body.joint_names or ())
+    legs = [[names.index(f"{side}{bone}") for bone in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")]
+    lengths = [
+        sum(np.linalg.norm(at[a] - at[b]) for leg in legs for a, b in zip(leg, leg[1:], strict=False))
+        for at in (joints, positions[0, columns])
+    ]
+    centre = positions[:, [columns[leg[0]] for leg in legs]].mean(1) * (lengths[0] / lengths[1])
+    still = Motion(pose, Rotation.from_matrix(world[:, 0]).as_rotvec(), np.zeros((len(clip), 3)))
+    path = centre - _hip_centre(body, still, joints)
+    return Motion(pose.astype(np.float32), still.root_rotation.astype(np.float32), path.astype(np.float32))
+
+
+def _forward(body: Body, motion: Motion, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The body's joints in the world: rotations (T, J, 3, 3) and positions (T, J, 3), float64."""
+    count = len(motion.pose)
+    local = Rotation.from_rotvec(motion.pose.reshape(-1, 3)).as_matrix().reshape(count, -1, 3, 3)
+    root = Rotation.from_rotvec(motion.root_rotation).as_matrix()
+    turns, at = np.empty_like(local), np.empty((count, len(joints), 3))
+    for j, p in enumerate(body.parents):  # type: ignore[arg-type]
+        if p < 0:
+            turns[:, j] = root @ local[:, j]
+            at[:, j] = root @ joints[j] + motion.translation
+        else:
+            turns[:, j] = turns[:, p] @ local[:, j]
+            at[:, j] = at[:, p] + turns[:, p] @ (joints[j] - joints[p])
+    return turns, at
+
+
+def _hip_centre(body: Body, motion: Motion, joints: np.ndarray) -> np.ndarray:
+    """(T, 3): midway between the heads of the thighs."""
+    names = list(body.joint_names or ())
+    return _forward(body, motion, joints)[1][:, [names.index("LeftUpLeg"), names.index("RightUpLeg")]].mean(1)
+
+
+def _lowest(body: Body, motion: Motion, joints: np.ndarray, shape: np.ndarray | Sequence[float] | None) -> np.ndarray:
+    """(T,): the height of the lowest point of the feet, each foot's vertices carried by its heaviest joint."""
+    assert body.template is not None and body.weights is not None
+    rest = body.template.astype(np.float64)
+    if shape is not None and body.shape_dirs is not None:
+        rest = rest + body.shape_dirs @ np.asarray(shape)
+    turns, at = _forward(body, motion, joints)
+    owner = body.weights.argmax(1)
+    low = np.full(len(at), np.inf)
+    for j, name in enumerate(body.joint_names or ()):
+        held = rest[owner == j] - joints[j]
+        if name.endswith(("Foot", "ToeBase")) and len(held):
+            low = np.minimum(low, (turns[:, j, 1] @ held.T).min(1) + at[:, j, 1])
+    return low
