@@ -1,0 +1,156 @@
+"""The textured mesh: the posed body with one texture for all frames, optimised through Mitsuba."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save
+
+from ndf_mi import files
+from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.capture import Capture
+from ndf_mi.colour import linear_to_srgb, srgb_to_linear
+from ndf_mi.compare.methods.mesh_fit import Progress, TextureFit, best_rate
+from ndf_mi.compare.methods.surface import TexturedSurface
+from ndf_mi.compare.methods.texture import fill_unseen
+from ndf_mi.errors import InputError
+
+RENDER_SPP = 64
+_VERSION = 1
+
+
+@dataclass
+class MeshFacts:
+    """What is known of a fit: settings, the sweep over learning rates, and how training went.
+
+    Attributes:
+        size: texels a side.
+        rate: Adam's first learning rate, in sRGB units a step.
+        sweep: training loss reached by each rate tried, keyed by the rate as text.
+        sweep_seconds: time of the sweep; not part of `seconds`.
+        budget: the wall-clock time given in seconds, None for training to convergence.
+        seconds, steps: time and steps of training.
+        converged: whether training ended because the loss stopped falling.
+        seen: the share of texels that training images have coloured.
+        seed: of the order of images and of the samples.
+        history: (step, seconds, loss) means over windows; the loss is the sRGB MSE in the body's rectangle.
+    """
+
+    size: int
+    rate: float = 0.0
+    sweep: dict[str, float] = field(default_factory=dict)
+    sweep_seconds: float = 0.0
+    budget: float | None = None
+    seconds: float = 0.0
+    steps: int = 0
+    converged: bool = False
+    seen: float = 0.0
+    seed: int = 0
+    history: list[tuple[int, float, float]] = field(default_factory=list)
+
+
+class TexturedMesh:
+    """Baseline: what a Mitsuba user would do without a neural field.
+
+    The texture is kept sRGB-encoded, because the loss is taken there, and decoded to linear radiance for rendering. It
+    is at least 0 and not bounded above. It can't show anything off the body's surface, nor anything that changes with
+    pose or view.
+
+    Args:
+        capture: whose body, poses and background it renders.
+        size: texels a side of the square texture.
+        rate: Adam's learning rate; None finds the best of a sweep when `fit` is called.
+    """
+
+    def __init__(self, capture: Capture, size: int = 512, rate: float | None = None) -> None:
+        self.name = "mesh"
+        self._surface = TexturedSurface(capture, size)
+        self._facts = MeshFacts(size=size, rate=rate or 0.0)
+        self.texture = np.full((size, size, 3), 0.5, dtype=np.float32)
+        self.seen = np.zeros((size, size), dtype=bool)
+
+    def fit(
+        self, capture: Capture, seconds: float | None = None, seed: int = 0, progress: Progress | None = None
+    ) -> None:
+        """Optimises the texture on the `train` split by Adam on the sRGB mean squared error, a random frame each step.
+
+        Args:
+            capture: with a `train` split.
+            seconds: wall-clock budget, with a rate that decays over it; None trains until the loss stops falling.
+            seed: of the order of images and of the samples.
+            progress: called after each step with (seconds, step, loss).
+        """
+        facts = self._facts
+        if not facts.rate:
+            facts.rate, facts.sweep, facts.sweep_seconds = best_rate(self._surface, capture, facts.size, seed)
+        fit = TextureFit(self._surface, capture, facts.size, facts.rate, seed)
+        facts.converged = fit.for_seconds(seconds, progress) if seconds is not None else fit.to_convergence(progress)
+        self.seen = fit.seen()
+        self.texture = fill_unseen(fit.texture(), self.seen)
+        facts.budget, facts.seed, facts.seen = seconds, seed, float(self.seen.mean())
+        facts.seconds, facts.steps, facts.history = fit.seconds, fit.steps, fit.history
+
+    def render(self, camera: Camera, frame: int) -> np.ndarray:
+        """(h, w, 3) float32 sRGB in [0, 1] over the capture's background, `RENDER_SPP` samples a pixel."""
+        self._surface.set_frame(frame)
+        self._surface.set_texture(mi.TensorXf(srgb_to_linear(self.texture)))
+        with dr.suspend_grad():
+            image = linear_to_srgb(self._surface.render(camera, RENDER_SPP, seed=0)).numpy()
+        return np.clip(image, 0, 1)
+
+    def facts(self) -> dict[str, Any]:
+        """`MeshFacts` as a dictionary."""
+        return asdict(self._facts)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes `mesh.json`, `mesh.safetensors` (texture, seen) and `texture.png`, to look at, into the folder."""
+        folder = Path(path)
+        tensors = save({"texture": self.texture, "seen": self.seen.astype(np.uint8)})
+        with files.replacing(folder / "texture.png") as beside:
+            mi.Bitmap(np.round(np.clip(self.texture, 0, 1) * 255).astype(np.uint8)).write(str(beside))
+        with files.replacing(folder / "mesh.safetensors") as beside:
+            beside.write_bytes(tensors)
+        files.write_json(folder / "mesh.json", {"version": _VERSION, **self.facts()})
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], capture: Capture) -> TexturedMesh:
+        """Reads the folder `path`.
+
+        Raises:
+            InputError: a file is missing, damaged, or of another version.
+        """
+        folder = Path(path)
+        document = _read_json(folder / "mesh.json")
+        mesh = cls(capture, size=document["size"], rate=document["rate"])
+        mesh._facts = MeshFacts(**{key: value for key, value in document.items() if key != "version"})
+        file = folder / "mesh.safetensors"
+        try:
+            tensors = load_file(file)
+        except (OSError, SafetensorError) as error:
+            raise InputError(file, str(error), "a texture as `ndf-mi compare` writes it") from error
+        shape = (document["size"], document["size"], 3)
+        found = getattr(tensors.get("texture"), "shape", None)
+        if found != shape or getattr(tensors.get("seen"), "shape", None) != shape[:2]:
+            raise InputError(file, f"texture of shape {found}", f"texture {shape} and seen {shape[:2]}")
+        mesh.texture, mesh.seen = tensors["texture"], tensors["seen"].astype(bool)
+        return mesh
+
+
+def _read_json(file: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(file, str(error), "a JSON file as `ndf-mi compare` writes it") from error
+    keys = {"version", *MeshFacts.__dataclass_fields__}
+    if not isinstance(document, dict) or document.get("version") != _VERSION or set(document) != keys:
+        found = document.get("version") if isinstance(document, dict) else type(document).__name__
+        raise InputError(file, f"version {found}", f"version {_VERSION} with {', '.join(sorted(keys))}")
+    return document

@@ -1,0 +1,92 @@
+"""Training images in shuffled passes over the frames, cut to the rectangle that the body can cover."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.capture import Capture
+from ndf_mi.errors import InputError
+
+CAMERAS_A_STEP = 4
+_CACHE_BYTES = 1 << 30
+Rectangle = tuple[int, int, int, int]
+
+
+class TrainingViews:
+    """The `train` split, a frame at a time.
+
+    All images of one camera are cut to rectangles of one size, so that kernels are compiled once; where cameras agree
+    in size, so do the rectangles.
+
+    Args:
+        capture: the capture.
+        seed: of the order.
+        frames: a subset of the training frames; all by default.
+
+    Raises:
+        InputError: the capture has no training split, or the body is out of every training camera's sight.
+    """
+
+    def __init__(self, capture: Capture, seed: int, frames: Sequence[int] | None = None) -> None:
+        split = capture.splits["train"]
+        chosen = split.frames if frames is None else tuple(frames)
+        if not chosen or not split.cameras:
+            raise InputError(f"{capture.path}: splits.train", "no cameras or no frames", "at least one of each")
+        self._capture = capture
+        self._cameras = [capture.cameras[name] for name in split.cameras]
+        self._frames = chosen
+        self._random = np.random.default_rng(seed)
+        self._order: list[int] = []
+        self._corners = {frame: _bounds(capture, self._cameras, frame) for frame in chosen}
+        extent = np.max([box[:, 1] - box[:, 0] for box in self._corners.values()], axis=(0, 1))
+        if not np.isfinite(extent).all():
+            raise InputError(capture.path, "a body behind a training camera", "training cameras that see the body")
+        self._extent = np.ceil(extent).astype(int) + 2
+        self._images: dict[tuple[str, int], np.ndarray] = {}
+        self._bytes = 0
+
+    @property
+    def frames(self) -> int:
+        """How many frames a pass has."""
+        return len(self._frames)
+
+    def mean_colour(self) -> np.ndarray:
+        """(3,) the mean sRGB of the performer in the first frame's images."""
+        frame = self._frames[0]
+        pixels = [
+            self._capture.image(camera.name, frame)[self._capture.mask(camera.name, frame)] for camera in self._cameras
+        ]
+        return np.concatenate(pixels).mean(axis=0)
+
+    def next(self) -> tuple[int, list[tuple[Camera, Rectangle, np.ndarray]]]:
+        """The next frame and, for up to four random cameras, camera, rectangle (x, y, w, h) and image in it."""
+        if not self._order:
+            self._order = self._random.permutation(len(self._frames)).tolist()
+        frame = self._frames[self._order.pop()]
+        count = min(CAMERAS_A_STEP, len(self._cameras))
+        chosen = np.sort(self._random.permutation(len(self._cameras))[:count])
+        return frame, [self._view(int(index), frame) for index in chosen]
+
+    def _view(self, index: int, frame: int) -> tuple[Camera, Rectangle, np.ndarray]:
+        camera = self._cameras[index]
+        width, height = (int(value) for value in np.minimum(self._extent, [camera.w, camera.h]))
+        low = np.floor(self._corners[frame][index, 0]).astype(int) - 1
+        x, y = (int(value) for value in np.clip(low, 0, [camera.w - width, camera.h - height]))
+        key = (camera.name, frame)
+        if key not in self._images:
+            image = np.ascontiguousarray(self._capture.image(*key)[y : y + height, x : x + width])
+            if self._bytes + image.nbytes > _CACHE_BYTES:
+                return camera, (x, y, width, height), image
+            self._images[key] = image
+            self._bytes += image.nbytes
+        return camera, (x, y, width, height), self._images[key]
+
+
+def _bounds(capture: Capture, cameras: Sequence[Camera], frame: int) -> np.ndarray:
+    """(cameras, 2, 2): the lowest and highest pixel coordinates of the posed body in each camera, NaN if behind it."""
+    vertices = capture.poses.vertices[capture.poses.index(frame)]
+    projected = [camera.project(vertices) for camera in cameras]
+    return np.stack([[points.min(axis=0), points.max(axis=0)] for points in projected])
