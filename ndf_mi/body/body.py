@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class Body:
         parents: (J,) int32, the parent of each joint; -1 for the root, which comes first; parents precede children.
         weights: (V, J) float32, not negative, each row sums to 1 within 1e-3.
         shape_dirs: (V, 3, B) float32, what a shape coefficient of 1 adds to the rest vertices.
-        pose_dirs: (V, 3, 9·(J-1)) float32, times the rotations of the joints but the root, less the identity, row by row.
+        pose_dirs: (V, 3, 9·(J-1)) float32, times R - I of the joints but the root, row by row.
         joint_dirs: (J, 3, B) float32, what a shape coefficient of 1 adds to the rest joints.
         shape_names: B names.
 
@@ -89,11 +90,11 @@ class Body:
         found = arrays.read_npz(path, names[:3], names[3:])
         for name in ("joint_names", "shape_names"):
             if name in found and (found[name].dtype.kind != "U" or found[name].ndim != 1):
-                raise InputError(f"{path}: {name}", f"type {found[name].dtype}, shape {found[name].shape}", "a list of strings")
-        try:
-            return cls(**{k: tuple(v.tolist()) if v.dtype.kind == "U" else v for k, v in found.items()})
-        except InputError as error:
-            raise InputError(error.where.replace("body", os.fspath(path), 1), error.found, error.expected, error.mend) from None
+                kind = f"type {found[name].dtype}, shape {found[name].shape}"
+                raise InputError(f"{path}: {name}", kind, "a list of strings")
+        fields: dict[str, Any] = {k: tuple(v.tolist()) if k.endswith("_names") else v for k, v in found.items()}
+        with arrays.located("body", path):
+            return cls(**fields)
 
 
 def _checked(body: Body, where: str) -> dict[str, np.ndarray | tuple[str, ...]]:

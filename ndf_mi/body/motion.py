@@ -22,9 +22,9 @@ ALIASES = {"LFingers": "LeftHandFinger1", "RFingers": "RightHandFinger1"}
 
 _LIMBS = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Arm", "ForeArm"), ("ForeArm", "Hand"), ("Hand", "HandFinger1"))
 AIMS = {f"{side}{bone}": f"{side}{tip}" for side in ("Left", "Right") for bone, tip in _LIMBS}
-"""The bones whose rest directions are aligned, from the joint to the one they aim at: the limbs, in which a T-pose differs
-from an A-pose. Trunk, head and clavicles are not: there, the two skeletons place their joints differently inside bodies
-that stand alike. Feet and fingers follow the bone above them."""
+"""The bones whose rest directions are aligned, from the joint to the one they aim at: the limbs, in which a T-pose
+differs from an A-pose. Trunk, head and clavicles are not: there, the two skeletons place their joints differently
+inside bodies that stand alike. Feet and fingers follow the bone above them."""
 
 Place = Literal["world", "centre", "treadmill"]
 
@@ -70,7 +70,8 @@ def retarget(
     """Plays ``clip`` on ``body``.
 
     World rotations are carried over joint by joint, after the limbs' rest directions are aligned (`AIMS`). The path of
-    the hips is scaled by the ratio of the leg lengths, and lowered or raised as a whole until the feet stand on y = 0.
+    the hips is scaled by the ratio of the leg lengths, and lowered or raised as a whole until the lowest
+    point that the feet reach in the clip lies on y = 0.
 
     Args:
         times: seconds after the clip's first frame; None for the clip's own frames.
@@ -88,7 +89,7 @@ def retarget(
     whole = _play(body, clip.at(some), joints, columns, align)
     played = _play(body, clip.at(own if times is None else np.asarray(times)), joints, columns, align)
     path = played.translation.astype(np.float64)
-    path[:, 1] -= np.percentile(_lowest(body, whole, joints, shape), 5)
+    path[:, 1] -= _lowest(body, whole, joints, shape).min()
     hips, all_hips = (_hip_centre(body, m, joints)[:, [0, 2]] for m in (played, whole))
     if place == "centre":
         path[:, [0, 2]] -= (all_hips.min(0) + all_hips.max(0)) / 2
@@ -121,7 +122,7 @@ def pose_sequence(
     from ndf_mi.body.skinning import skin
 
     if frames is None:
-        frames = first + np.arange(int(np.floor(clip.duration * rate + 1e-6)) + 1)
+        frames = first + np.arange(int(np.floor(clip.duration * rate + 1e-3)) + 1)
     frames = np.asarray(frames, dtype=np.int32)
     motion = retarget(body, clip, (frames - first) / rate, shape=shape, place=place)
     coefficients = None if shape is None else np.asarray(shape, dtype=np.float32)

@@ -74,13 +74,15 @@ class Poses:
         used = int(body.faces.max()) + 1
         have = self.vertices.shape[1]
         if body.template is not None and have != len(body.template):
-            raise InputError(f"{where}: vertices", f"{have} vertices", f"{len(body.template)}, as the body's template has")
+            expected = f"{len(body.template)}, as the body's template has"
+            raise InputError(f"{where}: vertices", f"{have} vertices", expected)
         if have < used:
             raise InputError(f"{where}: vertices", f"{have} vertices", f"at least {used}, which the body's faces use")
         if body.joints is not None and self.pose.shape[1] != body.joint_count:
             raise InputError(f"{where}: pose", f"{self.pose.shape[1]} joints", f"{body.joint_count}, as the body has")
         if self.shape is not None and body.shape_dirs is not None and len(self.shape) != body.shape_count:
-            raise InputError(f"{where}: shape", f"{len(self.shape)} coefficients", f"{body.shape_count}, as the body has")
+            expected = f"{body.shape_count}, as the body has"
+            raise InputError(f"{where}: shape", f"{len(self.shape)} coefficients", expected)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Writes ``poses.npz``, whole or not at all."""
@@ -96,11 +98,9 @@ class Poses:
         """
         names = [f.name for f in dataclasses.fields(cls)]
         found = arrays.read_npz(path, names[:-1], names[-1:])
-        try:
+        with arrays.located("poses", path):
             poses = cls(**found)
             poses.check(body)
-        except InputError as error:
-            raise InputError(error.where.replace("poses", os.fspath(path), 1), error.found, error.expected, error.mend) from None
         return poses
 
 

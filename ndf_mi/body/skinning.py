@@ -98,9 +98,7 @@ def skin(body: Body, pose: Any, root_rotation: Any, translation: Any, shape: Any
     return _prepared(body).vertices.apply(joint_transforms(body, pose, root_rotation, translation, shape))
 
 
-def joint_transforms(
-    body: Body, pose: Any, root_rotation: Any, translation: Any, shape: Any = None
-) -> JointTransforms:
+def joint_transforms(body: Body, pose: Any, root_rotation: Any, translation: Any, shape: Any = None) -> JointTransforms:
     """The joints' transforms, for `SkinnedVertices.apply`; arguments and errors as `skin`."""
     prepared = _prepared(body)
     count = body.joint_count
@@ -197,7 +195,7 @@ def _prepared(body: Body) -> _Prepared:
 
 
 def _chain(rows: list[Any], ancestors: Any, ends: Any) -> list[Any]:
-    """Each joint's transform after its ancestor's; left alone where ``ends`` says that its chain has reached the root."""
+    """Each joint's transform after its ancestor's; left alone where its chain ``ends`` in the root."""
     flat = _interleave([rows[i][k] for i in range(3) for k in range(4)], dr.width(ancestors))
     upper = [dr.gather(mi.Vector4f, flat, ancestors * 3 + i) for i in range(3)]
     out = []
