@@ -35,7 +35,7 @@ def _on_variant(_old: str | None, new: str | None) -> None:
 
 try:
     import mitsuba as mi  # after ensure_llvm: Dr.Jit loads LLVM as soon as it is imported
-except ImportError:
+except (ImportError, NameError):  # NameError is what Dr.Jit makes of a missing system library
     pass  # `ndf-mi doctor` must run without it; every module that needs it imports it itself, and fails there
 else:
     mi.detail.add_variant_callback(_on_variant)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import enum
 import importlib.metadata
 import importlib.util
@@ -19,6 +20,7 @@ from ndf_mi import llvm, variants
 
 PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "trimesh", "scikit-image", "OpenEXR", "safetensors")
 BODY_REQUIREMENT = "anny==0.6.2"
+LIBATOMIC = {"debian": "libatomic1", "fedora": "libatomic", "arch": "gcc-libs", "suse": "libatomic1"}
 MEMORY_OF_DEMO = 6.0
 """GB that the demonstration may take."""
 PROBE_SECONDS = 120
@@ -56,6 +58,7 @@ def examine() -> list[Finding]:
     """Everything that the package stands on; takes some seconds, since each variant renders in a process of its own."""
     return [
         *_packages(),
+        *_libatomic(),
         _llvm(),
         *(_variant(name) for name in variants.SUPPORTED),
         _gpu(),
@@ -97,7 +100,20 @@ def _variant(name: str) -> Finding:
         return Finding(name, State.MISSING, trouble, "update the NVIDIA driver to 570 or newer, with its OptiX library")
     if llvm.find() is None:
         return Finding(name, State.MISSING, "no usable LLVM", llvm.install_command())
+    if library := _libatomic():
+        return Finding(name, State.MISSING, library[0].found, library[0].mend)
     return Finding(name, State.MISSING, trouble, _pip("install", "--force-reinstall", "--no-deps", "mitsuba", "drjit"))
+
+
+def _libatomic() -> list[Finding]:
+    """The one library besides the C and C++ ones that the wheel of Dr.Jit needs; minimal systems lack it."""
+    if not sys.platform.startswith("linux"):
+        return []
+    try:
+        ctypes.CDLL("libatomic.so.1")
+    except OSError as error:
+        return [Finding("libatomic", State.MISSING, f"{error}", llvm.install_command(LIBATOMIC))]
+    return []
 
 
 def _llvm() -> Finding:

@@ -13,12 +13,14 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 MINIMUM = 17
 VARIABLE = "DRJIT_LIBLLVM_PATH"
+PACKAGES = {"debian": "libllvm19", "fedora": "llvm-libs", "arch": "llvm-libs", "suse": "libLLVM19", "darwin": "llvm"}
+"""The system's package that holds LLVM's shared library, by kind of system."""
 ABSENT = "/nonexistent/libLLVM-17-or-newer.so"
 """What ``DRJIT_LIBLLVM_PATH`` is set to where no usable LLVM exists: Dr.Jit then finds none, rather than 15 or 16."""
 
@@ -135,23 +137,20 @@ def ensure_llvm() -> Llvm | None:
     return llvm
 
 
-def install_command() -> str:
-    """The command that installs a usable LLVM on this system."""
+def install_command(packages: Mapping[str, str] = PACKAGES) -> str:
+    """The command that installs a package on this system, given its name by kind of system as in :data:`PACKAGES`."""
     if sys.platform == "darwin":
-        return "brew install llvm"
+        return f"brew install {packages['darwin']}"
     try:
         release = Path("/etc/os-release").read_text()
     except OSError:
         release = ""
-    names = " ".join(re.findall(r"^ID(?:_LIKE)?=\"?([^\"\n]*)", release, re.MULTILINE))
-    if "fedora" in names or "rhel" in names:
-        return "sudo dnf install llvm-libs"
-    if "arch" in names:
-        return "sudo pacman -S llvm-libs"
-    if "suse" in names:
-        return "sudo zypper install libLLVM19"
+    kinds = " ".join(re.findall(r"^ID(?:_LIKE)?=\"?([^\"\n]*)", release, re.MULTILINE))
     prefix = "" if os.geteuid() == 0 else "sudo "
-    return f"{prefix}apt-get update && {prefix}apt-get install -y libllvm19"
+    for kind, tool in (("fedora", "dnf install"), ("arch", "pacman -S"), ("suse", "zypper install")):
+        if kind in kinds:
+            return f"{prefix}{tool} {packages[kind]}"
+    return f"{prefix}apt-get update && {prefix}apt-get install -y {packages['debian']}"
 
 
 def _check_loaded() -> Llvm | None:

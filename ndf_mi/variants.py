@@ -5,7 +5,9 @@ Mitsuba and Dr.Jit are imported inside the functions, so that the names can be r
 
 from __future__ import annotations
 
+import importlib
 import os
+from typing import Any
 
 from ndf_mi import llvm
 from ndf_mi.errors import InputError
@@ -19,15 +21,13 @@ NEEDED = f"LLVM {llvm.MINIMUM} or newer"
 
 def cuda_usable() -> bool:
     """True where Dr.Jit has found NVIDIA's driver and a GPU."""
-    import drjit as dr
-
+    dr = _working("drjit")
     return bool(dr.has_backend(dr.JitBackend.CUDA))
 
 
 def llvm_usable() -> bool:
     """True where Dr.Jit has loaded an LLVM; importing ``ndf_mi`` has made sure that it is one that works."""
-    import drjit as dr
-
+    dr = _working("drjit")
     return bool(dr.has_backend(dr.JitBackend.LLVM))
 
 
@@ -35,7 +35,7 @@ def preferred() -> str:
     """The variant that suits this machine: CUDA where a GPU is usable, else LLVM; ``NDF_MI_VARIANT`` overrides.
 
     Raises:
-        InputError: the variable names an unsupported variant, or neither backend is usable.
+        InputError: the variable names an unsupported variant, no backend is usable, or Dr.Jit cannot be imported.
     """
     asked = os.environ.get(VARIABLE)
     if asked:
@@ -54,10 +54,10 @@ def use(name: str | None = None) -> str:
         name: the variant wanted; None takes the active one, or :func:`preferred`.
 
     Raises:
-        InputError: the variant is unsupported or does not work here, or another one is active already.
+        InputError: the variant is unsupported or does not work here, another one is active already, or Mitsuba cannot
+            be imported.
     """
-    import mitsuba as mi
-
+    mi = _working("mitsuba")
     active = mi.variant()
     if active is not None and name in (None, active):
         return active
@@ -76,6 +76,14 @@ def _checked(name: str, where: str) -> str:
     if name == CUDA and not cuda_usable():
         raise InputError(where, f"{CUDA} without a usable NVIDIA GPU", LLVM, f"unset {VARIABLE}, or install the driver")
     return name
+
+
+def _working(package: str) -> Any:
+    try:
+        return importlib.import_module(package)
+    except (ImportError, NameError) as error:  # NameError is what Dr.Jit makes of a missing system library
+        cause = error.__context__ or error
+        raise InputError(package, f"{cause}", "a package that can be imported", "`ndf-mi doctor` says more") from error
 
 
 def _nothing_usable() -> InputError:

@@ -75,3 +75,13 @@ def test_missing_package_is_named(monkeypatch, no_probes):
 def test_healthy_machine(no_probes, capsys):
     assert commands.main(["doctor"]) == 0
     assert "Ready." in capsys.readouterr().out
+
+
+def test_missing_system_library(monkeypatch, no_probes):
+    def refuse(name, **_options):
+        raise OSError(f"{name}: cannot open shared object file")
+
+    monkeypatch.setattr(doctor.ctypes, "CDLL", refuse)
+    finding = by_name(doctor.examine())["libatomic"]
+    assert finding.state is State.MISSING and "libatomic.so.1" in finding.found
+    assert finding.mend == llvm.install_command(doctor.LIBATOMIC)

@@ -59,3 +59,16 @@ assert calls == [v], calls
 """
     result = subprocess.run([sys.executable, "-c", code, mi.variant()], capture_output=True, text=True, env=os.environ)
     assert result.returncode == 0, result.stderr
+
+
+def test_broken_drjit_is_a_plain_message(tmp_path):
+    """Dr.Jit answers a missing system library with a NameError; the command says which library, and leaves with 2."""
+    (tmp_path / "drjit.py").write_text(
+        "try:\n    raise ImportError('libatomic.so.1: cannot open')\nexcept ImportError:\n    undefined\n"
+    )
+    code = "from ndf_mi.commands import main; sys.exit(main(['render', 'x']))"
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {code}"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 2
+    assert result.stderr.startswith("ndf-mi: error: ") and "libatomic.so.1" in result.stderr
+    assert "Traceback" not in result.stderr

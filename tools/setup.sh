@@ -60,6 +60,15 @@ ensure_llvm() {
     fail "LLVM 17 or newer is needed (15 and 16 abort at the first render): $found, then make setup"
 }
 
+# Dr.Jit's wheel needs libatomic, which minimal Debian systems lack.
+ensure_libatomic() {
+    loads='import ctypes; ctypes.CDLL("libatomic.so.1")'
+    if [ "$(uname)" != Linux ] || "$python" -c "$loads" 2> /dev/null; then
+        return
+    fi
+    apt_install libatomic1 || fail "libatomic is needed: sudo apt-get install -y libatomic1, then make setup"
+}
+
 ensure_venv() {
     wanted=$(cat pyproject.toml setup.py tools/setup.sh | cksum)
     if [ -x "$venv/bin/ndf-mi" ] && [ "$(cat "$stamp" 2> /dev/null)" = "$wanted" ]; then
@@ -80,4 +89,5 @@ ensure_venv() {
 
 ensure_python
 ensure_llvm
+ensure_libatomic
 ensure_venv
