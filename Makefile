@@ -18,4 +18,4 @@ lint: setup
 
 bench: setup
 	$(bin)/python -m pip install --quiet -e '.[bench]'
-	set -e; for file in benchmarks/bench_*.py; do $(bin)/python $$file; done
+	set -e; for file in benchmarks/*.py; do $(bin)/python $$file; done

@@ -1,0 +1,32 @@
+"""What an installation holds: every folder of the library, the plugins, the scenes, data and the typing marker."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from importlib.resources import files
+from pathlib import Path
+
+import ndf_mi
+import ndf_mi.plugins
+
+LIBRARY = Path(ndf_mi.__file__).parent
+
+
+def test_every_folder_with_code_is_a_package():
+    folders = {file.parent for file in LIBRARY.rglob("*.py")}
+    assert [str(folder) for folder in folders if not (folder / "__init__.py").is_file()] == []
+
+
+def test_every_plugin_module_is_listed():
+    modules = {file.stem for file in Path(ndf_mi.plugins.__file__).parent.glob("*.py")} - {"__init__"}
+    plugins = {name for name in modules if not name.startswith("_")}
+    assert set(ndf_mi.plugins.MODULES) == plugins
+
+
+def test_data_are_beside_the_code():
+    assert (files("ndf_mi") / "py.typed").is_file()
+    assert any(file.name.endswith(".bvh") for file in (files("ndf_mi.body") / "data").iterdir())
+
+
+def test_version_is_one():
+    assert importlib.metadata.version("ndf-mi") == ndf_mi.__version__
