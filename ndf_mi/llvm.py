@@ -158,10 +158,13 @@ def _check_loaded() -> Llvm | None:
     if llvm is None or llvm.version[0] >= MINIMUM:
         return llvm
     better = find()
-    remedy = f"set {VARIABLE}={better.path}" if better else f"install a newer one: {install_command()}"
+    if better is None:
+        remedy = f"Install one: {install_command()}"
+    else:
+        remedy = f"Import ndf_mi before drjit and mitsuba, or set {VARIABLE}={better.path}"
     raise ImportError(
         f"Dr.Jit has loaded {llvm}, which aborts the process at the first render; LLVM {MINIMUM} or newer is needed.\n"
-        f"  Import ndf_mi before drjit and mitsuba, or {remedy}"
+        f"  {remedy}"
     )
 
 

@@ -119,8 +119,7 @@ def test_unsuitable_choice_of_the_user_is_replaced(tmp_path):
     assert run_with_folder(tmp_path / "none", code, DRJIT_LIBLLVM_PATH=good).stdout.strip() == "True"
 
 
-def test_old_llvm_loaded_before_import_is_refused(tmp_path):
-    """Dr.Jit imported first, with 15: an ImportError that names both remedies, not an abort at the first render."""
+def import_after_old_drjit(folder: Path) -> list[str]:
     code = """
 import types
 drjit = types.ModuleType("drjit")
@@ -128,11 +127,24 @@ drjit.detail = types.SimpleNamespace(llvm_version=lambda: (15, 0, 6))
 sys.modules["drjit"] = drjit
 import ndf_mi
 """
-    result = run_with_folder(tmp_path, code)
+    result = run_with_folder(folder, code)
     assert result.returncode == 1
-    last = result.stderr.strip().splitlines()[-2:]
-    assert last[0].startswith("ImportError: Dr.Jit has loaded LLVM 15.0.6")
-    assert "Import ndf_mi before drjit and mitsuba" in last[1] and llvm.install_command() in last[1]
+    message = result.stderr.strip().splitlines()[-2:]
+    assert message[0].startswith("ImportError: Dr.Jit has loaded LLVM 15.0.6")
+    return message
+
+
+def test_old_llvm_loaded_before_import_is_refused(tmp_path):
+    """Dr.Jit imported first, with 15: an ImportError that names the remedy, not an abort at the first render."""
+    assert import_after_old_drjit(tmp_path)[1] == f"  Install one: {llvm.install_command()}"
+
+
+@needs_llvm
+def test_old_llvm_loaded_before_import_names_the_better_one(tmp_path):
+    (tmp_path / "libLLVM.so.19").symlink_to(llvm.find().path)
+    remedy = import_after_old_drjit(tmp_path)[1]
+    assert "Import ndf_mi before drjit and mitsuba" in remedy
+    assert remedy.endswith(f"or set {llvm.VARIABLE}={tmp_path / 'libLLVM.so.19'}")
 
 
 def test_runs_by_itself():
