@@ -9,7 +9,7 @@ linear around it, made for [-1, 1]:
 =============== ========================================================================================================
 ``height``      0.3 times half the difference of the targets *maxheight* and *minheight*: 1 adds about 16 cm
 ``weight``      half the difference of *maxweight* and *minweight*
-``muscle``      half the difference of *maxmuscle* and *minmuscle*
+``muscle``      half the difference of *maxmuscle* and *minmuscle*: 1 is trim, with less volume at the waist
 ``sex``         half the difference of *male* and *female*: -1 is the female adult, +1 the male one
 ``age``         half the difference of *old* and *young*: +1 lies midway to old age, -1 mirrors it
 ``proportions`` half the difference of *idealproportions* and *uncommonproportions*

@@ -26,9 +26,10 @@ def read_npz(
     if not path.is_file():
         raise InputError(path, "no such file", "an .npz file")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise InputError(path, "a single array", "an .npz file")
+        loaded = np.load(path, allow_pickle=False)
+        if not isinstance(loaded, np.lib.npyio.NpzFile):
+            raise InputError(path, "a single array", "an .npz file")
+        with loaded as archive:
             for key in required:
                 if key not in archive.files:
                     there = ", ".join(archive.files) or "nothing"

@@ -150,7 +150,8 @@ class _Reader:
             raise InputError(self.where, repr(found), word)
 
     def number(self, expected: str) -> float:
-        return _number(self.where, self.word(expected), expected)
+        word = self.word(expected)
+        return _number(self.where, word, expected)
 
     def rest(self, expected: str) -> str:
         """The words left on this line, joined."""
