@@ -14,11 +14,11 @@ from scipy.ndimage import uniform_filter
 
 SSIM_WINDOW = 7
 LABELS = {
-    "box_psnr": "Box PSNR [dB]",
+    "box_psnr": "Box PSNR (dB)",
     "box_ssim": "Box SSIM",
     "box_ssim_range2": "Box SSIM, data_range 2",
     "box_flip": "Box FLIP",
-    "psnr": "Image PSNR [dB]",
+    "psnr": "Image PSNR (dB)",
     "ssim": "Image SSIM",
 }
 HIGHER_IS_BETTER = {name: name != "box_flip" for name in LABELS}

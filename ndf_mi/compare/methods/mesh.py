@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from dataclasses import asdict, dataclass, field
@@ -41,6 +42,7 @@ class MeshFacts:
         converged: whether training ended because the loss stopped falling.
         seen: the share of texels that training images have coloured.
         seed: of the order of images and of the samples.
+        capture: digest of the capture trained on.
         history: (step, seconds, loss) means over windows; the loss is the sRGB MSE in the body's rectangle.
     """
 
@@ -54,6 +56,7 @@ class MeshFacts:
     converged: bool = False
     seen: float = 0.0
     seed: int = 0
+    capture: str = ""
     history: list[tuple[int, float, float]] = field(default_factory=list)
 
 
@@ -95,7 +98,8 @@ class TexturedMesh:
         facts.converged = fit.for_seconds(seconds, progress) if seconds is not None else fit.to_convergence(progress)
         self.seen = fit.seen()
         self.texture = fill_unseen(fit.texture(), self.seen)
-        facts.budget, facts.seed, facts.seen = seconds, seed, float(self.seen.mean())
+        facts.budget, facts.seed, facts.capture = seconds, seed, capture.digest
+        facts.seen = float(self.seen.mean())
         facts.seconds, facts.steps, facts.history = fit.seconds, fit.steps, fit.history
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
@@ -109,6 +113,12 @@ class TexturedMesh:
     def facts(self) -> dict[str, Any]:
         """`MeshFacts` as a dictionary."""
         return asdict(self._facts)
+
+    def fingerprint(self) -> str:
+        """SHA-256 (hex) over the texture, the samples a pixel and the capture: equal ones give equal images."""
+        state = hashlib.sha256(f"{RENDER_SPP} {self._facts.capture}".encode())
+        state.update(self.texture.tobytes())
+        return state.hexdigest()
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes `mesh.json`, `mesh.safetensors` (texture, seen) and `texture.png`, to look at, into the folder."""

@@ -1,0 +1,197 @@
+"""A run beside the textured mesh on one capture: trains and measures what is missing, writes the report."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from ndf_mi.capture.capture import Capture
+from ndf_mi.compare import machine
+from ndf_mi.compare.evaluate import choose_views, evaluate
+from ndf_mi.compare.methods.base import Method
+from ndf_mi.compare.methods.mesh import TexturedMesh
+from ndf_mi.compare.methods.ndf import NeuralField
+from ndf_mi.compare.report import write_report
+from ndf_mi.compare.results import MethodResult, Results
+from ndf_mi.errors import InputError
+from ndf_mi.learn.loop import expect_capture
+from ndf_mi.run import Run
+
+RESULTS = "compare.json"
+REPORT = "report.html"
+WORK = "compare"
+PICTURES = "pictures"
+CONVERGED = "mesh-converged"
+EQUAL_TIME = "mesh-equal-time"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to compare.
+
+    Attributes:
+        mesh_seconds: time for the mesh of equal time; None takes the run's own training time.
+        max_images: images measured of each held-out split.
+        texture: texels a side of the mesh's texture.
+        samples: candidate samples a ray of the field.
+        seed: of the choice of images and of the mesh's training.
+    """
+
+    mesh_seconds: float | None = None
+    max_images: int = 48
+    texture: int = 512
+    samples: int = 128
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for key in ("max_images", "texture", "samples"):
+            if getattr(self, key) < 1:
+                raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "at least 1")
+        if self.mesh_seconds is not None and not 0 < self.mesh_seconds < float("inf"):
+            raise InputError("option mesh-seconds", repr(self.mesh_seconds), "a number of seconds above 0")
+        if self.seed < 0:
+            raise InputError("option seed", repr(self.seed), "a whole number from 0 on")
+
+
+class Watcher(Protocol):
+    """Told how the work goes on."""
+
+    def training(self, label: str, seconds: float, budget: float | None, step: int, loss: float) -> None:
+        """A step of a mesh's training is done; `loss` is its sRGB mean squared error."""
+        ...
+
+    def measured(self, label: str, done: int, of: int) -> None:
+        """Images of a method are measured."""
+        ...
+
+
+class Comparison:
+    """One comparison in one folder; `run` does what is still missing of it.
+
+    Args:
+        run: folder of a run.
+        capture: folder of the capture that it was trained on.
+        folder: where `compare.json` and `report.html` go; pictures and meshes go to its subfolder `compare`.
+        settings: how to compare.
+        command: the command that the report says made it.
+
+    Raises:
+        InputError: run or capture can't be read, they don't belong together, or the folder holds another comparison.
+    """
+
+    def __init__(
+        self,
+        run: str | os.PathLike[str],
+        capture: str | os.PathLike[str],
+        folder: str | os.PathLike[str],
+        settings: Settings,
+        command: str,
+    ) -> None:
+        self.folder = Path(folder)
+        self._work = self.folder / WORK
+        self.settings = settings
+        self._run = Run.load(run)
+        self._capture = Capture.read(capture)
+        expect_capture(self._run, self._capture)
+        self._field = NeuralField(self._run, settings.samples)
+        self._budget = self._mesh_seconds()
+        self._views = choose_views(self._capture, settings.max_images, settings.seed)
+        known = Results.read(self.folder / RESULTS) if (self.folder / RESULTS).exists() else Results()
+        self.results = Results(self._about(command), known.methods)
+
+    def run(self, watcher: Watcher) -> Results:
+        """Trains the meshes, measures every method; `compare.json` after each image, `report.html` at the end."""
+        converged = self._mesh(CONVERGED, None, watcher)
+        meshes = {CONVERGED: (converged, "Mesh, to convergence")}
+        if not self._stands_for_equal_time(converged):
+            equal = self._mesh(EQUAL_TIME, self._budget, watcher)
+            meshes = {EQUAL_TIME: (equal, "Mesh, equal time"), **meshes}
+        self._measure("ndf", "NDF", self._field, self._field.fingerprint(), watcher)
+        for key, (mesh, label) in meshes.items():
+            self._measure(key, label, mesh, mesh.fingerprint(), watcher)
+        self.results.methods = [method for method in self.results.methods if method.key in {"ndf", *meshes}]
+        self.results.write(self.folder / RESULTS)
+        write_report(self.folder / REPORT, self.results, self._capture, self._work / PICTURES, self._field.history)
+        return self.results
+
+    def _stands_for_equal_time(self, converged: TexturedMesh) -> bool:
+        """Whether the converged mesh took no longer than the run, so that equal time has nothing to add to it.
+
+        A budget that the user gave is always trained for.
+        """
+        facts = converged.facts()
+        return self.settings.mesh_seconds is None and facts["converged"] and facts["seconds"] <= self._budget
+
+    def _mesh(self, key: str, budget: float | None, watcher: Watcher) -> TexturedMesh:
+        """The mesh of this budget, from the folder if one of the same settings is there."""
+        folder = self._work / key
+        wanted = {"size": self.settings.texture, "seed": self.settings.seed, "budget": budget}
+        wanted["capture"] = self._capture.digest
+        if (folder / "mesh.json").exists():
+            mesh = TexturedMesh.load(folder, self._capture)
+            if all(mesh.facts()[name] == value for name, value in wanted.items()):
+                return mesh
+        rate = self._known_rate(wanted) if budget is not None else None
+        mesh = TexturedMesh(self._capture, self.settings.texture, rate)
+        label = "mesh to convergence" if budget is None else "mesh of equal time"
+        mesh.fit(
+            self._capture,
+            budget,
+            self.settings.seed,
+            lambda seconds, step, loss: watcher.training(label, seconds, budget, step, loss),
+        )
+        mesh.save(folder)
+        return mesh
+
+    def _known_rate(self, wanted: dict[str, Any]) -> float | None:
+        """The rate that the sweep for the converged mesh found: the same sweep would find it again."""
+        facts = TexturedMesh.load(self._work / CONVERGED, self._capture).facts()
+        same = all(facts[name] == wanted[name] for name in ("size", "seed", "capture"))
+        return facts["rate"] if same else None
+
+    def _measure(self, key: str, label: str, method: Method, fingerprint: str, watcher: Watcher) -> None:
+        known = self.results.method(key)
+        result = MethodResult(key, label, fingerprint, method.facts())
+        if known is not None and known.fingerprint == fingerprint:
+            result.images = known.images
+        # What an earlier call measured of the other methods stays, until their turn comes.
+        self.results.methods = [method for method in self.results.methods if method.key != key] + [result]
+
+        def done() -> None:
+            self.results.write(self.folder / RESULTS)
+            watcher.measured(label, len(result.images), len(self._views))
+
+        evaluate(method, result, self._capture, self._views, self._work / PICTURES / key, done)
+
+    def _mesh_seconds(self) -> float:
+        seconds = self.settings.mesh_seconds or self._field.facts()["seconds"]
+        if not seconds:
+            raise InputError(
+                f"{self._run.path / 'config.json'}: trained",
+                "no training time",
+                "the seconds that `ndf-mi optimise` writes when it ends",
+                "Give the mesh's training time yourself: --mesh-seconds 600",
+            )
+        return float(seconds)
+
+    def _about(self, command: str) -> dict[str, Any]:
+        return {
+            "run": str(self._run.path),
+            "capture": {
+                "name": self._capture.name,
+                "path": str(self._capture.path),
+                "digest": self._capture.digest,
+                **{split: _extent(self._capture, split) for split in self._capture.splits},
+            },
+            "measured": {split: sum(view.split == split for view in self._views) for split in self._capture.splits},
+            "equal_seconds": self._budget,
+            "settings": asdict(self.settings),
+            "command": command,
+            "machine": machine.describe(),
+        }
+
+
+def _extent(capture: Capture, split: str) -> dict[str, int]:
+    return {"cameras": len(capture.splits[split].cameras), "frames": len(capture.splits[split].frames)}

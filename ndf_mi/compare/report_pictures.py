@@ -1,0 +1,96 @@
+"""The report's rows of pictures: the truth, each method, and error maps on one scale."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ndf_mi.capture.capture import Capture
+from ndf_mi.compare import metrics, tables
+from ndf_mi.compare.evaluate import LABELS as SPLIT_LABELS
+from ndf_mi.compare.pictures import absolute_error, data_uri, error_map, error_scale, gradient
+from ndf_mi.compare.results import Results, View
+
+ROWS = {"novel_view": 4, "novel_pose": 4, "train": 1}
+#: Pixels kept around the body's box.
+_MARGIN = 2
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """One view cut to the body: truth, then an image and an error for each method."""
+
+    view: View
+    truth: np.ndarray
+    images: tuple[np.ndarray, ...]
+    errors: tuple[np.ndarray, ...]
+
+
+def pictures_section(results: Results, capture: Capture, pictures: Path) -> str:
+    """HTML of up to `ROWS` views a split; the error maps of all of them share one labelled scale."""
+    chosen = {split: _chosen(results, split) for split in results.splits()}
+    shown = {split: [_load(results, capture, pictures, view) for view in views] for split, views in chosen.items()}
+    top = error_scale([error for views in shown.values() for view in views for error in view.errors])
+    parts = ["<h2>Pictures</h2>", _scale(top)]
+    for split, views in shown.items():
+        parts.append(f"<h3>{SPLIT_LABELS[split].capitalize()}</h3>")
+        parts += [_row(results, view, top) for view in views]
+    return "\n".join(parts)
+
+
+def _chosen(results: Results, split: str) -> list[View]:
+    """Views spread evenly over the split's images."""
+    views = [image.view for image in results.methods[0].images if image.view.split == split]
+    views.sort(key=lambda view: (view.frame, view.camera))
+    count = min(ROWS[split], len(views))
+    return [views[i] for i in np.linspace(0, len(views) - 1, count).round().astype(int)] if count else []
+
+
+def _load(results: Results, capture: Capture, pictures: Path, view: View) -> _Shown:
+    camera = capture.cameras[view.camera]
+    mask = metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)])
+    rectangle = metrics.bounding_rectangle(mask)
+    rows, columns = rectangle if rectangle is not None else (slice(0, camera.h), slice(0, camera.w))
+    rows = slice(max(rows.start - _MARGIN, 0), rows.stop + _MARGIN)
+    columns = slice(max(columns.start - _MARGIN, 0), columns.stop + _MARGIN)
+    truth = capture.image(view.camera, view.frame)[rows, columns]
+    images = []
+    for method in results.methods:
+        with Image.open(pictures / method.key / view.file) as picture:
+            images.append(np.asarray(picture.convert("RGB"), dtype=np.float32)[rows, columns] / 255)
+    return _Shown(view, truth, tuple(images), tuple(absolute_error(truth, image) for image in images))
+
+
+def _row(results: Results, shown: _Shown, top: float) -> str:
+    view = shown.view
+    count = len(results.methods) + 1
+    cells = ['<div class="head">Truth</div>']
+    cells += [f'<div class="head">{escape(method.label)}</div>' for method in results.methods]
+    cells.append(_figure(data_uri(shown.truth), "truth", ""))
+    for method, image in zip(results.methods, shown.images, strict=True):
+        measured = method.find(view)
+        text = tables.figure("box_psnr", measured.figures["box_psnr"]) if measured else "–"
+        cells.append(_figure(data_uri(image), method.label, f"{text} dB"))
+    cells.append(f'<div class="view">camera {escape(view.camera)}<br>frame {view.frame}</div>')
+    for method, error in zip(results.methods, shown.errors, strict=True):
+        cells.append(_figure(data_uri(error_map(error, top)), f"error of {method.label}", f"mean {error.mean():.3f}"))
+    # Wide pictures may use the page's width; tall ones shouldn't fill the screen.
+    width = min(100, 20 * count * max(1.0, shown.truth.shape[1] / shown.truth.shape[0]))
+    style = f"grid-template-columns: repeat({count}, 1fr); max-width: {width:.0f}%"
+    return f'<div class="row" style="{style}">{"".join(cells)}</div>'
+
+
+def _figure(source: str, description: str, caption: str) -> str:
+    text = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    return f'<figure><img src="{source}" alt="{escape(description)}">{text}</figure>'
+
+
+def _scale(top: float) -> str:
+    return (
+        '<div class="scale"><span>Error maps: mean |difference| of the sRGB channels</span><span>0</span>'
+        f'<span class="bar" style="background: {gradient()}"></span><span>{top:g} and above</span></div>'
+    )
