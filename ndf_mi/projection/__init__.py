@@ -1,0 +1,8 @@
+"""P_θ: from a point near the posed body to the closest point on its surface, texel and signed distance."""
+
+from __future__ import annotations
+
+from ndf_mi.projection.posed import PosedSurface, Projection
+from ndf_mi.projection.surface import Surface
+
+__all__ = ["PosedSurface", "Projection", "Surface"]

@@ -1,0 +1,158 @@
+"""The surface in one pose: boxes, cells and normals made once, then queries without end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.errors import InputError
+from ndf_mi.projection.cells import Cells
+from ndf_mi.projection.local import CORNER_0, CORNER_1, EDGE_0, EDGE_2, closest_on_triangle, unit
+from ndf_mi.projection.normals import face_normals, vertex_normals
+from ndf_mi.projection.refit import Frame, refit
+from ndf_mi.projection.search import closest_pair
+
+if TYPE_CHECKING:
+    from ndf_mi.projection.surface import Surface
+
+
+@dataclass
+class Projection:
+    """P_θ(x) = (u*, v*, l*) and what belongs to it; finite in every lane, and 0 triangles away meaningless if not valid.
+
+    Attributes:
+        uv: texture coordinates of the closest point, attached.
+        l: signed distance, metres, negative inside. ∂l/∂x is the direction of steepest ascent, also on the surface
+            (there the normal); ∂l/∂vertices that of the closest point's own triangle. First derivatives only.
+        triangle: number of the closest triangle; 0 where not valid.
+        barycentric: weights of its corners, attached.
+        point: the closest point, world, attached.
+        normal: unit, detached; of the face, or the pseudonormal of the edge or corner that the point lies on.
+        valid: |l| <= band, in active lanes.
+    """
+
+    uv: mi.Point2f
+    l: mi.Float  # noqa: E741
+    triangle: mi.UInt32
+    barycentric: mi.Point3f
+    point: mi.Point3f
+    normal: mi.Normal3f
+    valid: mi.Bool
+
+
+class PosedSurface:
+    """A :class:`Surface` in one pose; made by :meth:`Surface.pose`.
+
+    Attributes:
+        surface: the surface.
+        vertices: flat (3·V), world, as given (attached).
+        band: δ, metres.
+        bbox: world box of every point whose distance is at most the band, a little padded.
+
+    All queries work in evaluated code, in symbolic loops and inside plugins' methods: no local memory is used. No size
+    that differs between poses enters a kernel as a constant.
+    """
+
+    def __init__(self, surface: Surface, vertices: mi.Float, band: float) -> None:
+        if not band > 0:
+            raise InputError("band", f"{band}", "a distance above 0, in metres")
+        if dr.width(vertices) != 3 * surface.vertex_count:
+            raise InputError("vertices", f"{dr.width(vertices)} numbers", f"3 · {surface.vertex_count}")
+        self.surface = surface
+        self.vertices = vertices
+        self.band = float(band)
+        with dr.suspend_grad():
+            detached = dr.detach(vertices)
+            positions = np.asarray(detached).reshape(-1, 3)
+            if not np.isfinite(positions).all():
+                raise InputError("vertices", "NaN or infinity", "finite coordinates, in metres")
+            low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
+            pad = self.band + 1e-3 * self.band + 1e-6 * float(np.abs(positions).max())
+            self.bbox = mi.BoundingBox3f(mi.Point3f(*(low - pad).tolist()), mi.Point3f(*(high + pad).tolist()))
+            self._frame = Frame(low, high)
+            self._nodes, self._corners = refit(surface, detached, self._frame)
+            self._face_normals = face_normals(surface, detached)
+            self._vertex_normals = vertex_normals(surface, detached, self._face_normals)
+            self._cells = Cells(low - pad, high + pad, self.band, self._search, surface.leaves)
+
+    def near(self, x: mi.Point3f) -> mi.Bool:
+        """False only where |l| > band for certain; reads one cell."""
+        with dr.suspend_grad():
+            return self._cells.seed(dr.detach(x), mi.Bool(True))[1]
+
+    def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> mi.UInt32:
+        """Number of the closest triangle, detached; 0 in lanes that are inactive or farther away than the band."""
+        return self._closest(x, active)[0]
+
+    def project(self, x: mi.Point3f, active: mi.Bool | bool = True) -> Projection:
+        """P_θ(x): the search, detached, then :meth:`project_onto` the triangle found, attached."""
+        triangle, found = self._closest(x, active)
+        return self.project_onto(triangle, x, found)
+
+    def project_onto(self, triangle: mi.UInt32, x: mi.Point3f, active: mi.Bool | bool = True) -> Projection:
+        """Projects ``x`` onto a given triangle; ``valid`` where active and |l| <= band."""
+        surface = self.surface
+        active = mi.Bool(active)
+        corner = [dr.gather(mi.UInt32, surface.faces, 3 * triangle + k, active) for k in range(3)]
+        v0, v1, v2 = (dr.gather(mi.Point3f, self.vertices, c, active) for c in corner)
+        x = dr.select(active, x, 0)
+        local = closest_on_triangle(x, v0, v1, v2)
+        weights = local.barycentric
+        with dr.suspend_grad():
+            normal, l_value, slope = self._sign(triangle, corner, dr.detach(local.offset), local.feature, active)
+        # the closest point minimises over its weights, so that their change adds nothing to l's (envelope theorem)
+        fixed = dr.detach(weights)
+        towards = (x - v0) * fixed.x + (x - v1) * fixed.y + (x - v2) * fixed.z
+        l = dr.replace_grad(l_value, dr.dot(slope, towards))  # noqa: E741
+        uv = mi.Point2f(0)
+        for k in range(3):
+            texel = dr.gather(mi.Point2f, surface.corner_uv, 3 * triangle + k, active)
+            uv = uv + mi.Point2f(texel) * weights[k]
+        valid = active & (dr.abs(l_value) <= self.band)
+        return Projection(uv, l, triangle, weights, x - local.offset, mi.Normal3f(normal), valid)
+
+    def _sign(
+        self,
+        triangle: mi.UInt32,
+        corner: list[mi.UInt32],
+        offset: mi.Vector3f,
+        feature: mi.UInt32,
+        active: mi.Bool,
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Vector3f]:
+        """Pseudonormal, signed distance and its gradient (Bærentzen and Aanæs, "Signed distance computation using the
+        angle weighted pseudonormal", 2005)."""
+        own = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, triangle, active))
+        on_edge = (feature >= EDGE_0) & (feature <= EDGE_2)
+        on_corner = feature >= CORNER_0
+        edge = dr.select(on_edge, feature - EDGE_0, 0)
+        across = dr.gather(mi.UInt32, self.surface.neighbours, 3 * triangle + edge, active & on_edge)
+        other = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, across, active & on_edge))
+        vertex = dr.select(
+            feature == CORNER_0, corner[0], dr.select(feature == CORNER_1, corner[1], corner[2])
+        )
+        around = mi.Vector3f(dr.gather(mi.Point3f, self._vertex_normals, vertex, active & on_corner))
+        normal = dr.select(on_edge, unit(own + other, own), dr.select(on_corner, around, own))
+        distance = dr.norm(offset)
+        sign = dr.select(dr.dot(offset, normal) < 0, mi.Float(-1), mi.Float(1))
+        slope = dr.select(on_edge | on_corner, unit(offset, sign * normal) * sign, own)
+        return normal, sign * distance, slope
+
+    def _closest(self, x: mi.Point3f, active: mi.Bool | bool) -> tuple[mi.UInt32, mi.Bool]:
+        surface = self.surface
+        with dr.suspend_grad():
+            x = dr.detach(x)
+            seed, active = self._cells.seed(x, mi.Bool(active))
+            found = self._search(x, seed, self.band, active)
+            hit = active & (found < 2 * surface.leaves)
+            return dr.gather(mi.UInt32, surface.leaf_triangles, found, hit), hit
+
+    def _search(self, x: mi.Point3f, seed: mi.UInt32 | None, radius: float | mi.Float, active: mi.Bool) -> mi.UInt32:
+        """Number 2 · leaf + (0 or 1) of the closest triangle within the radius, 2 · leaves where there is none."""
+        frame = self._frame
+        bound = mi.Float(radius) * frame.scale * (1 + 1e-4)
+        q = frame.to_units(dr.select(active, x, 0))
+        return closest_pair(self._nodes, self._corners, self.surface.leaves, q, bound * bound, seed, active)[1]

@@ -1,0 +1,104 @@
+"""What the search needs to know of a mesh whatever its pose: pairs of triangles, their tree, neighbours across edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A complete binary tree over pairs of adjacent triangles, in heap order (root 1, children 2n and 2n + 1).
+
+    Leaf slot ``i`` is node ``leaves + i``. A slot past the number of pairs repeats another pair and is not ``occupied``.
+
+    Attributes:
+        depth: levels below the root; there are ``2 ** depth`` leaves, and at least one level.
+        corners: (leaves, 4) uint32, vertices a, b, c, d of the two triangles (a, b, c) and (a, c, d); a triangle without
+            a partner has d = c.
+        triangles: (leaves, 2) uint32, the mesh's triangles that these are; the same one twice without a partner.
+        occupied: (leaves,) bool.
+    """
+
+    depth: int
+    corners: np.ndarray
+    triangles: np.ndarray
+    occupied: np.ndarray
+
+    @property
+    def leaves(self) -> int:
+        return 1 << self.depth
+
+
+def half_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Neighbours across edges: for (F, 3) faces, edge k runs from corner k to corner k + 1.
+
+    Returns:
+        (F, 3) int64 opposite triangle and (F, 3) int64 the number of its edge there; -1 where the edge is on a boundary
+        or is shared by more than two triangles.
+    """
+    start, end = faces, np.roll(faces, -1, axis=1)
+    low, high = np.minimum(start, end).ravel().astype(np.int64), np.maximum(start, end).ravel().astype(np.int64)
+    key = low * (int(faces.max()) + 1) + high
+    order = np.argsort(key, kind="stable")
+    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
+    first = first[count == 2]
+    opposite = np.full(key.size, -1, np.int64)
+    opposite[order[first]] = order[first + 1]
+    opposite[order[first + 1]] = order[first]
+    triangle = np.where(opposite >= 0, opposite // 3, -1).reshape(faces.shape)
+    edge = np.where(opposite >= 0, opposite % 3, -1).reshape(faces.shape)
+    return triangle, edge
+
+
+def pair_triangles(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joins triangles across shared edges, the edge that is longest for its two triangles first.
+
+    Two triangles of a pair share two vertices, so that a leaf reads four vertices for two triangles.
+
+    Returns:
+        (P, 4) corners and (P, 2) triangles, as in :class:`Tree`.
+    """
+    neighbour, other_edge = half_edges(faces)
+    corner = vertices[faces]
+    length = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2)
+    share = length / np.maximum(length.sum(1, keepdims=True), np.finfo(np.float64).tiny)
+    t, k = np.nonzero(neighbour > np.arange(len(faces))[:, None])
+    n, m = neighbour[t, k], other_edge[t, k]
+    order = np.argsort(-(share[t, k] + share[n, m]), kind="stable")
+    free = np.ones(len(faces), bool)
+    corners: list[tuple[int, int, int, int]] = []
+    triangles: list[tuple[int, int]] = []
+    for i in order:
+        if free[t[i]] and free[n[i]]:
+            free[t[i]] = free[n[i]] = False
+            c, a, b = np.roll(faces[t[i]], -int(k[i]))
+            corners.append((a, b, c, faces[n[i]][(m[i] + 2) % 3]))
+            triangles.append((t[i], n[i]))
+    for i in np.nonzero(free)[0]:
+        a, b, c = faces[i]
+        corners.append((a, b, c, c))
+        triangles.append((i, i))
+    return np.array(corners, np.uint32), np.array(triangles, np.uint32)
+
+
+def build_tree(vertices: np.ndarray, faces: np.ndarray) -> Tree:
+    """A balanced tree of the pairs, split at the median along the longest side of the boxes of their centres."""
+    corners, triangles = pair_triangles(vertices, faces)
+    count = len(corners)
+    depth = max(1, int(np.ceil(np.log2(count))))
+    points = vertices[corners]
+    centre = 0.5 * (points.min(1) + points.max(1))
+    order = np.arange(count)
+    for level in range(depth):
+        bounds = (np.arange((1 << level) + 1) * count) >> level
+        segment = np.repeat(np.arange(1 << level), np.diff(bounds))
+        begin = np.minimum(bounds[:-1], count - 1)
+        at = centre[order]
+        side = np.maximum.reduceat(at, begin) - np.minimum.reduceat(at, begin)
+        axis = np.argmax(side, axis=1)[segment]
+        order = order[np.lexsort((at[np.arange(count), axis], segment))]
+    bounds = (np.arange((1 << depth) + 1) * count) >> depth
+    slot = order[np.minimum(bounds[:-1], count - 1)]
+    return Tree(depth, corners[slot], triangles[slot], np.diff(bounds) > 0)
