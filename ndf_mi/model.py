@@ -5,7 +5,8 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from ndf_mi.body import Body
+from ndf_mi.body.body import Body
+from ndf_mi.body.poses import Poses
 from ndf_mi.field import Field, Preset
 from ndf_mi.projection import PosedSurface, Surface
 from ndf_mi.render.quadrature import FieldSample
@@ -14,14 +15,20 @@ from ndf_mi.render.quadrature import FieldSample
 class Model:
     """A neural deformable field around a body, before a pose is given.
 
+    Args:
+        body: triangles and texels.
+        poses: the first gives the shape that the search tree is built for, and the number of joints.
+        preset: the networks' architecture.
+        seed: of the networks' initial weights.
+
     Attributes:
         surface: the body's triangles, texels and search tree.
         field: the networks.
     """
 
-    def __init__(self, body: Body, preset: Preset, seed: int = 0) -> None:
-        self.surface = Surface(body.faces, body.uv, body.uv_faces, body.template)
-        self.field = Field(preset, len(body.parents), seed)
+    def __init__(self, body: Body, poses: Poses, preset: Preset, seed: int = 0) -> None:
+        self.surface = Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0])
+        self.field = Field(preset, poses.pose.shape[1], seed)
 
     @property
     def band(self) -> float:

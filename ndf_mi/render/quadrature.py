@@ -96,7 +96,10 @@ def quadrature(
         geometry: also return (u, v, l) and normals.
     """
     workspace = workspace or Workspace()
-    rays = dr.width(ray.o)
+    rays = max(dr.width(ray.o), dr.width(ray.d))
+    ray = mi.Ray3f(ray)
+    ray.o = ray.o + dr.zeros(mi.Vector3f, rays)
+    ray.d = ray.d + dr.zeros(mi.Vector3f, rays)
     lanes = rays * samples
 
     with dr.suspend_grad():

@@ -15,6 +15,8 @@ def box_interval(box: mi.BoundingBox3f, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Floa
     Returns:
         hit, near, far; near = far = 0 where the box is missed.
     """
+    # Opaque: the box differs from pose to pose, and a literal would be compiled in.
+    dr.make_opaque(box)
     hit, near, far = box.ray_intersect(ray)
     near = dr.maximum(near, 0.0)
     far = dr.minimum(far, ray.maxt)

@@ -1,0 +1,128 @@
+"""``ndf-mi render``: a scene or a run to an image."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from ndf_mi.errors import InputError
+
+
+@dataclass
+class Render:
+    """Render a Mitsuba scene, or a trained run by itself, to .png (sRGB) or .exr (linear, with depth, opacity, (u, v, l) and
+    normals where a run or the scene's integrator gives them)."""
+
+    source: Annotated[Path, tyro.conf.Positional]
+    """A scene's XML, or a run's folder."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The image: NAME.png or NAME.exr."""
+
+    frame: int | None = None
+    """The frame; by default the scene's own, or the run's first."""
+
+    size: tuple[int, int] | None = None
+    """Width and height in pixels; by default the scene's or the camera's own, 512 × 512 for a run without --capture."""
+
+    spp: int | None = None
+    """Scene: samples a pixel, by default the scene's own."""
+
+    samples: int = 128
+    """Run: candidate samples a ray."""
+
+    define: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-D"]), tyro.conf.UseAppendAction] = ()
+    """Scene: a parameter of the scene as NAME=VALUE, e.g. run=runs/demo; may be given several times."""
+
+    capture: Path | None = None
+    """Run: take --camera from this capture."""
+
+    camera: str | None = None
+    """Run: a camera of --capture, by name. Scene: the number of the sensor, from 0."""
+
+    azimuth: float = 0.0
+    """Run without --capture: degrees around the performer."""
+
+    elevation: float = 5.0
+    """Run without --capture: degrees above the horizon."""
+
+    def run(self) -> int:
+        """Renders and writes the image."""
+        from ndf_mi.render.output import check_suffix
+
+        check_suffix(self.out)
+        if self.size is not None and min(self.size) < 1:
+            raise InputError("--size", f"{self.size[0]} {self.size[1]}", "two whole numbers above 0")
+        if self.source.is_dir():
+            self._run()
+        elif self.source.is_file():
+            self._scene()
+        else:
+            raise InputError(self.source, "no such file or folder", "a scene's XML or a run's folder")
+        print(self.out)
+        return 0
+
+    def _run(self) -> None:
+        from ndf_mi.capture import Capture
+        from ndf_mi.capture.viewpoint import framing
+        from ndf_mi.render.image import ImageRenderer
+        from ndf_mi.render.output import write_exr, write_png
+        from ndf_mi.run import Run
+
+        for name, given in (("--spp", self.spp is not None), ("--define", bool(self.define))):
+            if given:
+                raise InputError(name, "it together with a run", "it only with a scene", "For a run, see --samples.")
+        run = Run.load(self.source)
+        frame = int(run.poses.frames[0]) if self.frame is None else self.frame
+        row = run.poses.index(frame)
+        if self.capture is not None:
+            cameras = Capture.read(self.capture).cameras
+            if self.camera not in cameras:
+                raise InputError("--camera", str(self.camera), "one of " + ", ".join(cameras))
+            camera = cameras[self.camera]
+            if self.size is not None:
+                camera = camera.scaled(*self.size)
+                if not camera.is_pinhole:
+                    camera = dataclasses.replace(camera, distortion=(0.0,) * 5)
+        elif self.camera is not None:
+            raise InputError("--camera", self.camera, "--capture beside it, or --azimuth and --elevation instead")
+        else:
+            camera = framing(run.poses.vertices[row], *(self.size or (512, 512)), self.azimuth, self.elevation)
+        image = ImageRenderer(self.samples)(run.posed(frame), camera, geometry=self.out.suffix.lower() == ".exr")
+        if image.u is None or image.normal is None:
+            write_png(self.out, image.over(run.background))
+            return
+        channels = dict(zip("RGB", np.moveaxis(image.linear, -1, 0), strict=True)) | {"A": image.opacity, "depth.T": image.depth}
+        channels |= {f"uvl.{n}": image.u[..., i] for i, n in enumerate("UVL")}
+        channels |= {f"normal.{n}": image.normal[..., i] for i, n in enumerate("XYZ")}
+        write_exr(self.out, channels)
+
+    def _scene(self) -> None:
+        from ndf_mi.render.output import write_exr, write_png
+        from ndf_mi.render.scene import load_scene, render_scene
+
+        if self.capture is not None:
+            raise InputError("--capture", "it together with a scene", "it only with a run")
+        parameters = {}
+        for text in self.define:
+            name, equals, value = text.partition("=")
+            if not equals or not name:
+                raise InputError("--define", repr(text), "NAME=VALUE")
+            parameters[name] = value
+        if self.frame is not None:
+            parameters["frame"] = str(self.frame)
+        sensor = 0
+        if self.camera is not None:
+            if not self.camera.isdecimal():
+                raise InputError("--camera", repr(self.camera), "the number of one of the scene's sensors, from 0")
+            sensor = int(self.camera)
+        channels, srgb = render_scene(load_scene(self.source, parameters), sensor, self.spp or 0, self.size)
+        if self.out.suffix.lower() == ".exr":
+            write_exr(self.out, channels)
+        else:
+            write_png(self.out, srgb)

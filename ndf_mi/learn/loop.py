@@ -1,0 +1,127 @@
+"""A whole training: new or resumed, with a progress bar, logs, TensorBoard and checkpoints."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import sys
+import time
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from tensorboardX import SummaryWriter
+
+import ndf_mi
+from ndf_mi import files
+from ndf_mi.capture import Capture
+from ndf_mi.errors import InputError
+from ndf_mi.field import Preset
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.trainer import STATE, Trainer
+from ndf_mi.run import Run
+
+_LOG_EVERY = 50
+
+
+def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, options: TrainingOptions) -> Trainer:
+    """A new run in a folder that does not exist yet or is empty.
+
+    Raises:
+        InputError: the folder holds something.
+    """
+    folder = Path(path)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(folder, "something there already", "a new or empty folder",
+                         "Go on with what is there by --resume, or take another folder.")
+    run = Run.create(
+        folder, preset, capture.body, capture.poses, options.seed,
+        background=[float(v) for v in capture.background],
+        capture={"name": capture.name, "digest": capture.digest},
+        training=options.to_dict(),
+        made_by={"ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__, "python": platform.python_version(),
+                 "variant": mi.variant()},
+    )
+    trainer = Trainer(run, capture, options)
+    run.save()
+    return trainer
+
+
+def resume(path: str | os.PathLike[str], capture: Capture) -> Trainer:
+    """The run in a folder, at its last checkpoint, with the options it was started with.
+
+    Raises:
+        InputError: there is no run, it was trained on another capture, or its state cannot be read.
+    """
+    run = Run.load(path)
+    config = run.path / "config.json"
+    expect_capture(run, capture)
+    options = TrainingOptions.from_dict(run.config.get("training", {}), f"{config}: training")
+    trainer = Trainer(run, capture, options)
+    if (run.path / STATE).exists():
+        trainer.restore()
+    _truncate_log(run.path / "metrics.jsonl", trainer.progress.step)
+    return trainer
+
+
+def expect_capture(run: Run, capture: Capture) -> None:
+    """Raises InputError unless `run` was trained on `capture`."""
+    known = run.config.get("capture", {})
+    if known.get("digest") != capture.digest:
+        raise InputError(capture.path, f"the capture {capture.name!r} (digest {capture.digest[:12]})",
+                         f"the one that {run.path} was trained on, {known.get('name')!r} (digest {str(known.get('digest'))[:12]})")
+
+
+def train(trainer: Trainer, quiet: bool = False) -> None:
+    """Trains to the end, or until interrupted: then the state is saved and KeyboardInterrupt goes on up."""
+    folder = trainer.run.path
+    options = trainer.options
+    saved = time.perf_counter()
+    columns = (TextColumn("training"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TextColumn("{task.fields[facts]}"),
+               TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+    board = SummaryWriter(str(folder), purge_step=trainer.progress.step)
+    try:
+        with Progress(*columns, disable=quiet or not sys.stderr.isatty()) as bar, open(folder / "metrics.jsonl", "a") as log:
+            task = bar.add_task("training", total=1.0, completed=trainer.done, facts="", left="")
+            begun, begun_at = trainer.done, time.perf_counter()
+            while trainer.done < 1:
+                trainer.step()
+                now = trainer.progress
+                if now.step % _LOG_EVERY == 0 or trainer.done >= 1:
+                    _log(log, board, trainer)
+                    rate = (trainer.done - begun) / (time.perf_counter() - begun_at)
+                    left = (1 - trainer.done) / rate if rate > 0 else math.inf
+                    bar.update(task, completed=trainer.done, facts=f"step {now.step}  {now.psnr:.2f} dB", left=f"{left:.0f} s left")
+                if time.perf_counter() - saved > options.checkpoint_seconds:
+                    trainer.save()
+                    saved = time.perf_counter()
+    finally:
+        trainer.save()
+        trainer.run.config["trained"] = {"steps": trainer.progress.step, "seconds": trainer.progress.seconds, "done": trainer.done >= 1}
+        files.write_json(folder / "config.json", trainer.run.config)
+        board.close()
+
+
+def _log(log: object, board: SummaryWriter, trainer: Trainer) -> None:
+    now = trainer.progress
+    row = {"step": now.step, "seconds": round(now.seconds, 3), "loss": now.error, "psnr": round(now.psnr, 4), "samples": now.evaluated}
+    print(json.dumps(row), file=log, flush=True)  # type: ignore[call-overload]
+    for name in ("loss", "psnr", "samples"):
+        board.add_scalar(f"training/{name}", row[name], now.step)
+
+
+def _truncate_log(path: Path, step: int) -> None:
+    """Drops logged steps beyond `step`: those after the last checkpoint are taken again."""
+    if not path.exists():
+        return
+    kept = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            if json.loads(line)["step"] <= step:
+                kept.append(line)
+        except (ValueError, KeyError, TypeError):
+            continue
+    files.write_text(path, "".join(line + "\n" for line in kept))

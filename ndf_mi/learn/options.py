@@ -1,0 +1,93 @@
+"""How a field is trained, apart from its architecture; every entry is an option of ``ndf-mi optimise``."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from ndf_mi.errors import InputError
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """Schedule, sampling and loss."""
+
+    steps: int = 6000
+    """Steps in all. The learning rates' decay is spread over these."""
+
+    seconds: float = 0.0
+    """If above 0: the time to train for, in seconds. The decay then follows the clock, and `steps` is only a limit."""
+
+    rays: int = 1024
+    """Rays a step."""
+
+    samples: int = 64
+    """Candidate samples a ray."""
+
+    mask_share: float = 0.5
+    """Share of the rays that are drawn from the mask's pixels, the others from the body's padded box."""
+
+    edge_kernel: int = 0
+    """Pixels whose surroundings of this size hold both performer and background aren't drawn; 0 draws them all, the paper has 3."""
+
+    box_padding: float = 0.05
+    """Padding of the body's box in metres, for the pixels drawn and for box figures."""
+
+    learning_rate: float = 2e-3
+    """Adam's rate for the networks."""
+
+    grid_rate: float = 1e-2
+    """Adam's rate for the hash table."""
+
+    decay: float = 0.1
+    """Factor that both rates reach over `decay_steps` steps, exponentially."""
+
+    decay_steps: int = 0
+    """Steps over which `decay` is reached; 0 for the whole training."""
+
+    opacity_weight: float = 0.05
+    """Weight of the mean squared difference of opacity and mask."""
+
+    edge_weight: float = 0.1
+    """Weight of the mean density near the band's edge (|l| above 0.8 of it), in units of the preset's `density_gain`, once the
+    image error is below `edge_below`."""
+
+    edge_below: float = 0.005
+
+    clip: float = 40.0
+    """Largest magnitude of an entry of a gradient."""
+
+    seed: int = 0
+    """Of weights, rays and jitter."""
+
+    checkpoint_seconds: float = 60.0
+    """Time between checkpoints."""
+
+    def __post_init__(self) -> None:
+        for key in ("steps", "rays", "samples", "learning_rate", "grid_rate", "decay", "clip", "checkpoint_seconds"):
+            if not getattr(self, key) > 0:
+                raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number above 0")
+        for key in ("seconds", "edge_kernel", "box_padding", "decay_steps", "opacity_weight", "edge_weight", "seed"):
+            if not getattr(self, key) >= 0:
+                raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number from 0 on")
+        if not 0 <= self.mask_share <= 1:
+            raise InputError("option mask-share", repr(self.mask_share), "a number in [0, 1]")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The options as JSON-ready values."""
+        return dataclasses.asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any], where: str = "training") -> TrainingOptions:
+        """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
+        known = {f.name for f in dataclasses.fields(cls)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            raise InputError(where, f"the option {unknown[0]!r}", "one of " + ", ".join(sorted(known)))
+        return cls(**values)
+
+    @classmethod
+    def paper(cls) -> TrainingOptions:
+        """The published schedule and loss."""
+        return cls(steps=200_000, edge_kernel=3, learning_rate=5e-4, decay_steps=500_000, opacity_weight=0.0)

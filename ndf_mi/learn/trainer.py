@@ -1,0 +1,161 @@
+"""One training step after another: rays, quadrature, loss, Adam; and the state to go on from."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.capture import Capture
+from ndf_mi.errors import InputError
+from ndf_mi.learn.loss import ImageLoss
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.rays import RaySampler
+from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
+from ndf_mi.model import PosedModel
+from ndf_mi.render.quadrature import Workspace, quadrature
+from ndf_mi.run import Run
+
+STATE = "state.safetensors"
+_SMOOTHING = 0.98
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where training stands: steps done, seconds spent, smoothed mean squared error in sRGB, samples that reached the networks."""
+
+    step: int
+    seconds: float
+    error: float
+    evaluated: int
+
+    @property
+    def psnr(self) -> float:
+        """−10·log10 of the error, in dB, on the rays drawn."""
+        return -10 * math.log10(max(self.error, 1e-12))
+
+
+class Trainer:
+    """Trains the field of `run` on the training split of `capture`.
+
+    Weights live in the optimisers while training goes on; :meth:`publish` puts them into the run.
+    """
+
+    def __init__(self, run: Run, capture: Capture, options: TrainingOptions) -> None:
+        self.run = run
+        self.options = options
+        self._rays = RaySampler(capture, capture.splits["train"], options)
+        self._rng = np.random.default_rng([options.seed, 1])
+        preset = run.model.field.preset
+        self._loss = ImageLoss(options, mi.Color3f(*[float(v) for v in run.background]), preset.band, preset.density_gain)
+        self._workspace = Workspace()
+        field = run.model.field
+        self._networks = mi.ad.Adam(lr=options.learning_rate, params={"weights": field.weights})
+        # Most entries of the table see no sample in a step: those keep their value and moments, as in the grid's paper.
+        self._table = None
+        if field.grid is not None:
+            self._table = mi.ad.Adam(lr=options.grid_rate, params={"grid": field.grid}, mask_updates=True, epsilon=1e-15)
+        self._step = 0
+        self._seconds = 0.0
+        self._error = float("nan")
+        self._evaluated = 0
+
+    @property
+    def progress(self) -> Progress:
+        """Where training stands."""
+        return Progress(self._step, self._seconds, self._error, self._evaluated)
+
+    @property
+    def done(self) -> float:
+        """Share of the training that is done, in [0, 1]."""
+        by_steps = self._step / self.options.steps
+        by_clock = self._seconds / self.options.seconds if self.options.seconds > 0 else 0.0
+        return min(1.0, max(by_steps, by_clock))
+
+    def step(self) -> None:
+        """Takes one step."""
+        started = time.perf_counter()
+        self._set_rates()
+        batch = self._rays(self._rng)
+        jitter = mi.Float(self._rng.random(self.options.rays * self.options.samples, dtype=np.float32))
+
+        field = self.run.model.field
+        field.weights = self._networks["weights"]
+        if self._table is not None:
+            field.grid = self._table["grid"]
+        posed = PosedModel(field, self.run.surface(batch.frame), self.run.pose_vector(batch.frame))
+        ray = mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction))
+        seen = quadrature(posed, ray, self.options.samples, jitter=jitter, workspace=self._workspace)
+        loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask))
+        dr.backward(loss.total)
+
+        weights = self._networks["weights"]
+        dr.set_grad(weights, dr.clip(dr.grad(weights), -self.options.clip, self.options.clip))
+        self._networks.step()
+        if self._table is not None:
+            self._table.step()
+        error = float(loss.image[0])
+        self._error = error if math.isnan(self._error) else _SMOOTHING * self._error + (1 - _SMOOTHING) * error
+        self._loss.observe(self._error)
+        self._evaluated = seen.evaluated
+        self._step += 1
+        self._seconds += time.perf_counter() - started
+
+    def publish(self) -> None:
+        """Puts the current weights, detached, into the run's field."""
+        field = self.run.model.field
+        field.weights = dr.detach(self._networks["weights"])
+        if self._table is not None:
+            field.grid = dr.detach(self._table["grid"])
+
+    def save(self) -> None:
+        """Writes the state to go on from, then the field."""
+        tensors = adam_tensors(self._networks, "networks")
+        if self._table is not None:
+            tensors |= adam_tensors(self._table, "table")
+        facts: dict[str, Any] = {
+            "step": self._step,
+            "seconds": self._seconds,
+            "error": None if math.isnan(self._error) else self._error,
+            "random": self._rng.bit_generator.state,
+            "near": self._workspace.near.size,
+            "inside": self._workspace.inside.size,
+        }
+        write_state(self.run.path / STATE, tensors, facts)
+        self.publish()
+        self.run.save_field()
+
+    def restore(self) -> None:
+        """Goes back to the state that :meth:`save` wrote last.
+
+        Raises:
+            InputError: there is none, or it does not fit the run's preset.
+        """
+        path = self.run.path / STATE
+        tensors, facts = read_state(path)
+        restore_adam(self._networks, "networks", tensors, str(path))
+        if self._table is not None:
+            restore_adam(self._table, "table", tensors, str(path))
+        try:
+            self._rng.bit_generator.state = facts["random"]
+            self._step, self._seconds = int(facts["step"]), float(facts["seconds"])
+            self._error = float("nan") if facts["error"] is None else float(facts["error"])
+            self._workspace.near.size, self._workspace.inside.size = int(facts["near"]), int(facts["inside"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(path, f"facts that are not a training state's ({error})", "what a checkpoint writes") from None
+        if not math.isnan(self._error):
+            self._loss.observe(self._error)
+        self.publish()
+
+    def _set_rates(self) -> None:
+        options = self.options
+        spent = self._step / options.decay_steps if options.decay_steps else self.done
+        factor = options.decay**spent
+        self._networks.set_learning_rate(options.learning_rate * factor)
+        if self._table is not None:
+            self._table.set_learning_rate(options.grid_rate * factor)

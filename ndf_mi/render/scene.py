@@ -1,0 +1,61 @@
+"""Loading a scene's XML and rendering it, with Mitsuba's complaints turned into the user's."""
+
+from __future__ import annotations
+
+import os
+
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.colour import linear_to_srgb
+from ndf_mi.errors import InputError
+
+
+def load_scene(path: str | os.PathLike[str], parameters: dict[str, str]) -> mi.Scene:
+    """Loads a scene with values for its ``$`` parameters.
+
+    Raises:
+        InputError: with what Mitsuba or a plugin found wrong.
+    """
+    try:
+        scene = mi.load_file(str(path), **parameters)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise InputError(path, f"a scene that cannot be loaded:\n{error}", "a scene that Mitsuba loads") from None
+    if not isinstance(scene, mi.Scene):
+        raise InputError(path, f"a {type(scene).__name__}", "a scene")
+    return scene
+
+
+def render_scene(
+    scene: mi.Scene, sensor: int = 0, spp: int = 0, size: tuple[int, int] | None = None, seed: int = 0
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Renders a scene with its own integrator.
+
+    Args:
+        sensor: which of its sensors.
+        spp: samples a pixel; 0 for the sampler's own.
+        size: width and height in pixels, or the film's own.
+
+    Returns:
+        All channels by name, each (h, w) float32, and the radiance as (h, w, 3) sRGB clipped to [0, 1].
+    """
+    sensors = scene.sensors()
+    if sensor >= len(sensors):
+        raise InputError("sensor", str(sensor), f"0 to {len(sensors) - 1}, as many as the scene has")
+    if size is not None:
+        params = mi.traverse(sensors[sensor])
+        params["film.size"] = mi.ScalarVector2u(*size)
+        params["film.crop_size"] = mi.ScalarVector2u(*size)
+        params.update()
+    try:
+        mi.render(scene, sensor=sensors[sensor], spp=spp, seed=seed)
+    except InputError:
+        raise
+    except RuntimeError as error:
+        raise InputError("scene", f"one that its integrator cannot render: {error}", "another integrator or scene") from None
+    bitmap = sensors[sensor].film().bitmap(raw=False)
+    array = np.array(bitmap, dtype=np.float32)
+    names = [field.name for field in bitmap.struct_()]
+    channels = {name: array[..., i] for i, name in enumerate(names)}
+    colour = np.stack([channels[n] for n in "RGB"], axis=-1) if "R" in channels else np.repeat(array[..., :1], 3, axis=-1)
+    return channels, np.clip(linear_to_srgb(np.maximum(colour, 0)), 0, 1)

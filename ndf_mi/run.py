@@ -1,0 +1,172 @@
+"""A trained field on disk: all that a medium needs to render it, without the capture it was trained on.
+
+    RUN/config.json         what it is and how it was made
+    RUN/field.safetensors   `weights`, and `grid` where the preset has a hash table
+    RUN/body.npz poses.npz  the body and its poses, as in a capture
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from ndf_mi import files
+from ndf_mi.body.body import Body
+from ndf_mi.body.poses import Poses
+from ndf_mi.errors import InputError
+from ndf_mi.field import Preset
+from ndf_mi.model import Model, PosedModel
+from ndf_mi.projection import PosedSurface
+
+FORMAT = "ndf-run"
+VERSION = 1
+_CACHED_POSES = 128
+
+
+class Run:
+    """A field with its body and poses.
+
+    Attributes:
+        path: the folder.
+        config: the contents of ``config.json``: `preset` (all options), `background` (3 numbers, sRGB), `capture` (`name`, `digest`),
+            `training` and more, as the trainer wrote them.
+        body, poses: as in the capture.
+        model: the field, with its weights.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], config: dict[str, Any], body: Body, poses: Poses, model: Model) -> None:
+        self.path = Path(path)
+        self.config = config
+        self.body = body
+        self.poses = poses
+        self.model = model
+        self._surfaces: OrderedDict[int, PosedSurface] = OrderedDict()
+
+    @property
+    def background(self) -> np.ndarray:
+        """(3,) float32 sRGB of what lies behind the performer."""
+        return np.asarray(self.config["background"], dtype=np.float32)
+
+    @classmethod
+    def create(cls, path: str | os.PathLike[str], preset: Preset, body: Body, poses: Poses, seed: int, **config: Any) -> Run:
+        """A fresh run with untrained weights; nothing is written until :meth:`save`."""
+        config = {"format": FORMAT, "version": VERSION, "preset": preset.to_dict(), "seed": seed, **config}
+        return cls(path, config, body, poses, Model(body, poses, preset, seed))
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Run:
+        """Reads a run.
+
+        Raises:
+            InputError: naming the file and key at fault, what was found and what was expected.
+        """
+        path = Path(path)
+        config = _read_config(path / "config.json")
+        preset = Preset.from_dict(config["preset"], f"{path / 'config.json'}: preset")
+        body = Body.read(path / "body.npz")
+        poses = Poses.read(path / "poses.npz", body)
+        run = cls(path, config, body, poses, Model(body, poses, preset, int(config["seed"])))
+        run.set_field(_read_tensors(path / "field.safetensors"), path / "field.safetensors")
+        return run
+
+    def field_tensors(self) -> dict[str, np.ndarray]:
+        """The field's parameters as numpy arrays, by name."""
+        field = self.model.field
+        tensors = {"weights": field.weights.numpy()}
+        if field.grid is not None:
+            tensors["grid"] = field.grid.numpy()
+        return tensors
+
+    def set_field(self, tensors: dict[str, np.ndarray], where: str | os.PathLike[str]) -> None:
+        """Sets the field's parameters; InputError, and nothing set, unless names, sizes and values fit."""
+        current = self.field_tensors()
+        for name, value in current.items():
+            if name not in tensors:
+                raise InputError(f"{os.fspath(where)}: {name}", "no such tensor", f"{value.size} numbers")
+            found = tensors[name]
+            if found.shape != value.shape or found.dtype != np.float32:
+                raise InputError(f"{os.fspath(where)}: {name}", f"{found.dtype} of shape {found.shape}",
+                                 f"float32 of shape {value.shape}, as the preset has")
+            if not np.isfinite(found).all():
+                raise InputError(f"{os.fspath(where)}: {name}", "numbers that are not finite", "finite numbers")
+        field = self.model.field
+        field.weights = mi.Float(tensors["weights"])
+        if field.grid is not None:
+            field.grid = mi.Float(tensors["grid"])
+
+    def save(self) -> None:
+        """Writes the run; each file whole or not at all, ``config.json`` last."""
+        self.body.write(self.path / "body.npz")
+        self.poses.write(self.path / "poses.npz")
+        self.save_field()
+        files.write_json(self.path / "config.json", self.config)
+
+    def save_field(self) -> None:
+        """Writes the field's parameters alone."""
+        with files.replacing(self.path / "field.safetensors") as beside:
+            save_file(self.field_tensors(), beside)
+
+    def surface(self, frame: int) -> PosedSurface:
+        """The body at a frame, with its boxes and cells; kept for the frames used last.
+
+        Raises:
+            InputError: there is no such frame.
+        """
+        row = self.poses.index(frame)
+        if row in self._surfaces:
+            self._surfaces.move_to_end(row)
+        else:
+            vertices = mi.Float(self.poses.vertices[row].ravel())
+            self._surfaces[row] = self.model.surface.pose(vertices, self.model.band)
+            if len(self._surfaces) > _CACHED_POSES:
+                self._surfaces.popitem(last=False)
+        return self._surfaces[row]
+
+    def pose_vector(self, frame: int) -> mi.Float:
+        """Flat (3·J) axis-angles at a frame, the root's three zero."""
+        return mi.Float(np.ascontiguousarray(self.poses.pose[self.poses.index(frame)], dtype=np.float32).ravel())
+
+    def posed(self, frame: int) -> PosedModel:
+        """The field at a frame, with the weights that it has now (gradients flow to them)."""
+        return PosedModel(self.model.field, self.surface(frame), self.pose_vector(frame))
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    try:
+        config = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(path, "no such file", "a run made by `ndf-mi optimise`") from None
+    except (OSError, ValueError) as error:
+        raise InputError(path, f"a file that cannot be read ({error})", "JSON") from None
+    if not isinstance(config, dict) or config.get("format") != FORMAT:
+        found = config.get("format") if isinstance(config, dict) else type(config).__name__
+        raise InputError(f"{path}: format", repr(found), repr(FORMAT))
+    if config.get("version") != VERSION:
+        newer = isinstance(config.get("version"), int) and config["version"] > VERSION
+        raise InputError(f"{path}: version", repr(config.get("version")), str(VERSION),
+                         "It was made by a newer ndf-mi: upgrade with `pip install -U ndf-mi`." if newer else "")
+    for key, kind in (("preset", dict), ("seed", int), ("background", list)):
+        if not isinstance(config.get(key), kind):
+            raise InputError(f"{path}: {key}", repr(config.get(key)), f"a {kind.__name__}")
+    if len(config["background"]) != 3 or not all(isinstance(v, (int, float)) and 0 <= v <= 1 for v in config["background"]):
+        raise InputError(f"{path}: background", repr(config["background"]), "three numbers in [0, 1]")
+    return config
+
+
+def _read_tensors(path: Path) -> dict[str, np.ndarray]:
+    try:
+        return load_file(path)
+    except FileNotFoundError:
+        raise InputError(path, "no such file", "the field's weights") from None
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(path, f"a file that cannot be read ({error})", "a safetensors file") from None
+
+

@@ -1,0 +1,165 @@
+"""The networks against a float64 evaluation in numpy, written from the paper's table, and against finite differences."""
+
+import dataclasses
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from ndf_mi.errors import InputError
+from ndf_mi.field import PRESETS, Field, Preset, preset
+
+JOINTS = 24
+
+
+def inputs(n=200, seed=0):
+    rng = np.random.default_rng(seed)
+    u = rng.uniform(0.02, 0.98, (3, n))
+    d = rng.normal(size=(3, n))
+    return u, d / np.linalg.norm(d, axis=0), rng.normal(0, 0.4, 3 * JOINTS)
+
+
+def evaluate(field, u, d, pose, mode):
+    bound = field.bind(mi.Float(pose.astype(np.float32)))
+    arguments = mi.Point3f(u.astype(np.float32)), mi.Vector3f(d.astype(np.float32))
+    if mode == "fused":
+        bound.pack()
+    return getattr(bound, mode)(*arguments)
+
+
+def gamma(x, octaves):
+    rows = [x]
+    for k in range(octaves):
+        rows += [np.sin(2.0**k * x), np.cos(2.0**k * x)]
+    return np.concatenate(rows)
+
+
+class PaperInNumpy:
+    """The published architecture, layer by layer, reading its matrices off the flat vector one after another."""
+
+    def __init__(self, weights):
+        self.rest = weights.astype(np.float64)
+
+    def layer(self, inputs, outputs):
+        count = inputs * outputs
+        w, b, self.rest = self.rest[:count].reshape(outputs, inputs), self.rest[count : count + outputs], self.rest[count + outputs :]
+        return lambda x: w @ x + b[:, None]
+
+    def __call__(self, u, d, pose, limit):
+        relu = lambda x: np.maximum(x, 0)  # noqa: E731
+        n = u.shape[1]
+        f = relu(self.layer(72, 256)(pose[:, None]))
+        f = np.repeat(relu(self.layer(256, 128)(f)), n, axis=1)
+        h = relu(self.layer(191, 128)(np.concatenate([gamma(u, 10), f])))
+        u = u + 0.001 * self.layer(128, 3)(h)
+        g = gamma(u, 10)
+        h = relu(self.layer(191, 256)(np.concatenate([g, f])))
+        for _ in range(4):
+            h = relu(self.layer(256, 256)(h))
+        # The flat vector keeps the pose's columns last; joined inputs are γ, h, pose.
+        h = relu(self.layer(447, 256)(np.concatenate([g, h, f])))
+        h = relu(self.layer(256, 256)(h))
+        sigma = relu(self.layer(256, 1)(h))[0]
+        h = self.layer(256, 256)(h)
+        h = self.layer(384, 256)(np.concatenate([h, f]))
+        h = relu(self.layer(283, 128)(np.concatenate([h, gamma(d, 4)])))
+        srgb = 1 / (1 + np.exp(-self.layer(128, 3)(h)))
+        assert self.rest.size == 0
+        linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+        return limit * (1 - np.exp(-sigma / limit)), linear
+
+
+def test_paper_has_the_published_number_of_parameters():
+    assert Field(preset("paper"), JOINTS).size == 770_695
+
+
+@pytest.mark.parametrize("mode", ["batched", "fused"])
+def test_paper_agrees_with_float64(mode):
+    field = Field(preset("paper"), JOINTS, seed=3)
+    # Ten times the usual weights in the last density layer, so that densities are far from zero.
+    weights = field.weights.numpy()
+    out = field.layers["density_out"]
+    weights[out.offset : out.offset + out.size] *= 200
+    field.weights = mi.Float(weights)
+    u, d, pose = inputs()
+    sigma, colour = evaluate(field, u, d, pose, mode)
+    expected_sigma, expected_colour = PaperInNumpy(weights)(u, d, pose, field.preset.density_limit)
+    assert expected_sigma.max() > 1
+    # The highest octave turns float32's rounding of u (6e-8) into 3e-5 radians.
+    np.testing.assert_allclose(sigma.numpy(), expected_sigma, rtol=2e-4, atol=2e-4 * expected_sigma.max())
+    np.testing.assert_allclose(colour.numpy(), expected_colour, atol=2e-5)
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_batched_and_fused_agree_in_value_and_gradient(name):
+    u, d, pose = inputs()
+    results = []
+    for mode in ("batched", "fused"):
+        field = Field(preset(name), JOINTS, seed=1)
+        if field.grid is not None:
+            field.grid = field.grid * 1e4
+        leaves = [field.weights] + ([field.grid] if field.grid is not None else [])
+        dr.enable_grad(leaves)
+        sigma, colour = evaluate(field, u, d, pose, mode)
+        dr.backward(dr.mean(0.01 * sigma + colour.x + 2 * colour.y + 3 * colour.z))
+        results.append([sigma.numpy(), colour.numpy(), *[dr.grad(leaf).numpy() for leaf in leaves]])
+    for batched, fused in zip(*results, strict=True):
+        assert np.abs(batched).max() > 0
+        np.testing.assert_allclose(fused, batched, rtol=0, atol=1e-5 * np.abs(batched).max())
+
+
+@pytest.mark.parametrize("name", ["fast", "tiny"])
+def test_gradients_agree_with_finite_differences(name):
+    field = Field(preset(name), JOINTS, seed=2)
+    u, d, pose = inputs(2000)
+    values = {"grid": field.grid.numpy().astype(np.float64) * 3e3, "weights": field.weights.numpy().astype(np.float64)}
+
+    def evaluate_at(which, change):
+        for key, value in values.items():
+            setattr(field, key, mi.Float((value + (change if key == which else 0)).astype(np.float32)))
+        leaf = getattr(field, which)
+        dr.enable_grad(leaf)
+        sigma, colour = evaluate(field, u, d, pose, "batched")
+        return 0.02 * sigma + colour.x + 2 * colour.y, leaf
+
+    for which, scale in (("weights", 1e-4), ("grid", 1e-2)):
+        out, leaf = evaluate_at(which, 0)
+        dr.backward(dr.sum(out))
+        gradient = dr.grad(leaf).numpy().astype(np.float64)
+        # A random direction in the gradient's orthant: entries add up instead of cancelling, so that rounding stays small.
+        direction = scale * np.random.default_rng(5).uniform(0, 1, gradient.size) * np.sign(gradient)
+        ahead, behind = (evaluate_at(which, step * direction)[0].numpy().astype(np.float64).sum() for step in (1, -1))
+        assert (ahead - behind) / 2 == pytest.approx(float(gradient @ direction), rel=1e-2)
+
+
+def test_density_stays_below_the_majorant_however_large_the_weights():
+    for name in PRESETS:
+        field = Field(preset(name), JOINTS, seed=1)
+        field.weights = field.weights * 50
+        sigma, colour = evaluate(field, *inputs(), "batched")
+        assert np.isfinite(sigma.numpy()).all() and np.isfinite(colour.numpy()).all()
+        assert sigma.numpy().max() <= field.preset.density_limit < field.majorant
+        assert sigma.numpy().min() >= 0
+
+
+def test_pose_changes_the_field():
+    field = Field(preset("fast"), JOINTS, seed=1)
+    u, d, pose = inputs()
+    a, b = (evaluate(field, u, d, p, "batched")[1].numpy() for p in (pose, pose + 0.5))
+    assert np.abs(a - b).max() > 1e-3
+
+
+def test_presets_go_through_dictionaries():
+    for value in PRESETS.values():
+        assert Preset.from_dict(value.to_dict()) == value
+
+
+@pytest.mark.parametrize(("change", "word"), [({"band": -1.0}, "band"), ({"encoding": "sphere"}, "encoding"), ({"density_layers": ()}, "density")])
+def test_wrong_options_are_named(change, word):
+    with pytest.raises(InputError, match=word):
+        dataclasses.replace(preset("fast"), **change)
+    with pytest.raises(InputError, match="no-such"):
+        Preset.from_dict({"no-such": 1})
+    with pytest.raises(InputError, match="paper"):
+        preset("nerf")
