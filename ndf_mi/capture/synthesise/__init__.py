@@ -1,0 +1,1 @@
+"""A synthetic performer: a dressed body rendered by Mitsuba's path tracer, written as a capture."""

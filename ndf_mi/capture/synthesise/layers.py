@@ -1,0 +1,146 @@
+"""The performer's layers of surface, colour and skinning weight at every vertex, and the tools that make them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ndf_mi.body.anny import Garment
+from ndf_mi.body.body import Body
+from ndf_mi.capture.synthesise.surface import averaging, clip, loop_subdivision, vertex_normals
+
+if TYPE_CHECKING:
+    from ndf_mi.capture.synthesise.wrinkles import Folds
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One surface of the performer at rest, N vertices and F triangles.
+
+    Attributes:
+        name: for people.
+        material: a key of ``lighting.MATERIALS``.
+        faces: (F, 3) int32.
+        rest: (N, 3) metres, dressed: the standoff is in it.
+        weights: (N, J) skinning weights.
+        colour: (N, 3) linear reflectance in [0, 1].
+        slack: (N,) metres by which the layer sinks where it hangs from a limb that leaves the vertical.
+        folds: its wrinkles, displacements along the normal; None for what has none.
+        clearance: metres that every vertex keeps from the body, or None for what may touch it.
+    """
+
+    name: str
+    material: str
+    faces: np.ndarray
+    rest: np.ndarray
+    weights: np.ndarray
+    colour: np.ndarray
+    slack: np.ndarray
+    folds: Folds | None
+    clearance: float | None
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A refined piece of a skinned surface before it becomes a layer: (N, 3) rest, (N, J) weights, (N, 2) UVs, faces."""
+
+    rest: np.ndarray
+    weights: np.ndarray
+    uv: np.ndarray
+    faces: np.ndarray
+
+    @classmethod
+    def of(cls, source: Garment | Body, shape: np.ndarray) -> Sheet:
+        """The surface at the shape coefficients ``shape``; where UVs have seams a vertex takes one of its own."""
+        assert source.template is not None and source.weights is not None and source.shape_dirs is not None
+        rest = source.template + source.shape_dirs @ shape
+        uv = np.zeros((len(rest), 2))
+        uv[source.faces.ravel()] = source.uv[source.uv_faces.ravel()]
+        return cls(rest.astype(np.float64), source.weights.astype(np.float64), uv, source.faces)
+
+    @property
+    def normals(self) -> np.ndarray:
+        return vertex_normals(self.rest, self.faces)
+
+    def subdivided(self) -> Sheet:
+        matrix, faces = loop_subdivision(self.faces, len(self.rest))
+        return Sheet(matrix @ self.rest, matrix @ self.weights, matrix @ self.uv, faces)
+
+    def clipped(self, values: np.ndarray) -> Sheet:
+        """The part where ``values``, (N,), are positive."""
+        matrix, faces = clip(self.faces, values)
+        return Sheet(matrix @ self.rest, matrix @ self.weights, matrix @ self.uv, faces)
+
+    def eased(self, positions: int, weights: int) -> Sheet:
+        """Averaged so many times: cloth bridges the body's hollows and bends over a longer stretch than the body."""
+        mean = averaging(self.faces, len(self.rest))
+        rest, blend = self.rest, self.weights
+        for _ in range(positions):
+            rest = mean @ rest
+        for _ in range(weights):
+            blend = mean @ blend
+        return Sheet(rest, blend, self.uv, self.faces)
+
+
+class Frame:
+    """Limb coordinates of rest points on one body: where along and around an arm, a leg or the trunk a point lies.
+
+    Args:
+        body: the body, with ``joint_names``.
+        shape: (B,) its shape coefficients.
+        rest: (N, 3) points.
+        weights: (N, J) their skinning weights.
+
+    Attributes (all (N,)):
+        left: whether x > 0, the performer's left.
+        arm: sum of the weights of shoulderless arm joints.
+        arm_s: metres from the shoulder joint along the arm; arm_phi: angle around it.
+        elbow, wrist: what ``arm_s`` is there (scalars).
+        leg_phi: angle around the leg; trunk_phi: around the trunk, 0 in front, both with x to the left.
+        x, y, z: the coordinates, metres.
+    """
+
+    def __init__(self, body: Body, shape: np.ndarray, rest: np.ndarray, weights: np.ndarray) -> None:
+        assert body.joint_names is not None and body.joints is not None and body.joint_dirs is not None
+        names = body.joint_names
+        at = dict(zip(names, body.joints + body.joint_dirs @ shape, strict=True))
+        self.joints = at
+        self.x, self.y, self.z = rest.T
+        self.left = self.x > 0
+        arms = [i for i, n in enumerate(names) if any(p in n for p in ("Arm", "Hand", "Thumb", "Finger"))]
+        self.arm = weights[:, arms].sum(axis=1)
+        mirrored = np.stack([np.abs(self.x), self.y, self.z], axis=1)
+        shoulder, elbow, wrist = (at[f"Left{n}"] for n in ("Arm", "ForeArm", "Hand"))
+        upper, lower = elbow - shoulder, wrist - elbow
+        self.elbow = float(np.linalg.norm(upper))
+        self.wrist = self.elbow + float(np.linalg.norm(lower))
+        upper, lower = upper / np.linalg.norm(upper), lower / np.linalg.norm(lower)
+        self.arm_s = np.minimum((mirrored - shoulder) @ upper, self.elbow) + np.maximum((mirrored - elbow) @ lower, 0)
+        forward = np.array([0.0, 0.0, 1.0])
+        beside = np.cross(upper, forward)
+        centre = shoulder + np.clip(self.arm_s, 0, self.elbow)[:, None] * upper
+        self.arm_phi = np.arctan2((mirrored - centre) @ beside, (mirrored - centre) @ forward)
+        hip, knee, ankle = (at[f"Left{n}"] for n in ("UpLeg", "Leg", "Foot"))
+        heights = np.array([ankle[1], knee[1], hip[1]])
+        axis = [np.interp(self.y, heights, [ankle[i], knee[i], hip[i]]) for i in (0, 2)]
+        self.leg_phi = np.arctan2(np.abs(self.x) - axis[0], self.z - axis[1])
+        self.trunk_phi = np.arctan2(self.x, self.z - 0.02)
+        self.knee = float(knee[1])
+
+
+def rise(values: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Smoothstep: 0 at ``start``, 1 at ``end`` (either order), flat beyond."""
+    t = np.clip((values - start) / (end - start), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+def waves(points: np.ndarray, wavelength: float, seed: int, count: int = 24) -> np.ndarray:
+    """(N,) smooth noise of about unit deviation: a sum of plane waves of random directions around ``wavelength`` metres."""
+    random = np.random.default_rng(seed)
+    directions = random.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    frequency = 2 * np.pi / wavelength * random.uniform(0.6, 1.4, count)
+    phase = random.uniform(0, 2 * np.pi, count)
+    return np.sin(points @ (directions * frequency[:, None]).T + phase).sum(axis=1) * np.sqrt(2 / count)

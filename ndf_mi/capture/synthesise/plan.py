@@ -1,0 +1,123 @@
+"""What a synthetic capture consists of: sizes, motion and splits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ndf_mi.body.body import Body
+from ndf_mi.body.motion import load_clip, pose_sequence
+from ndf_mi.body.poses import Poses
+from ndf_mi.capture.document import Split
+from ndf_mi.capture.synthesise.ring import evenly
+from ndf_mi.errors import InputError
+
+#: The clips whose poses are learnt from, and the one, unlike them, of the novel poses.
+TRAINING_CLIPS = ("walk", "climb")
+NOVEL_CLIP = "jump"
+#: The performer's build: shape coefficients by name; the others are 0.
+BUILD = {"height": 0.15, "muscle": 0.2, "sex": -0.1}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that a synthetic capture follows from.
+
+    Attributes:
+        pixels: width and height of the images.
+        spp: samples a pixel.
+        cameras: how many stand in the ring.
+        train_cameras: how many of these, evenly spaced, are learnt from; the others are the novel views.
+        frames: how many frames are learnt from.
+        view_frames: how many of these, evenly spaced, the novel views show.
+        pose_frames: how many frames of the other motion are the novel poses.
+        pose_cameras: how many cameras, evenly spaced, see the novel poses.
+        seed: of the cameras' placement and the renderer's sampling.
+    """
+
+    pixels: int
+    spp: int
+    cameras: int
+    train_cameras: int
+    frames: int
+    view_frames: int
+    pose_frames: int
+    pose_cameras: int
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Raises InputError at the first number that can't be."""
+        for name, low, high in (
+            ("pixels", 16, 4096),
+            ("spp", 1, 16384),
+            ("cameras", 1, 99),
+            ("train_cameras", 1, self.cameras),
+            ("frames", 1, 190),
+            ("view_frames", 0, self.frames),
+            ("pose_frames", 0, 120),
+            ("pose_cameras", 1, self.cameras),
+            ("seed", 0, 2**31 - 1),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"--{name.replace('_', '-')}", str(value), f"a whole number from {low} to {high}")
+
+
+SIZES = {
+    "tiny": Settings(48, 16, 5, 2, 3, 1, 1, 2),
+    "quick": Settings(128, 64, 8, 4, 14, 3, 4, 4),
+    "studio": Settings(256, 128, 21, 4, 64, 6, 10, 7),
+}
+
+
+def splits(settings: Settings, names: list[str]) -> dict[str, Split]:
+    """Cameras and frames of each split; training frames are numbered from 0, those of the novel poses follow."""
+    train = evenly(names, settings.train_cameras)
+    others = tuple(name for name in names if name not in train)
+    frames = tuple(range(settings.frames))
+    viewed = tuple(int(f) for f in _spread(settings.frames, settings.view_frames))
+    posed = tuple(range(settings.frames, settings.frames + settings.pose_frames))
+    nothing = Split()
+    return {
+        "train": Split(train, frames),
+        "novel_view": Split(others, viewed) if others and viewed else nothing,
+        "novel_pose": Split(evenly(names, settings.pose_cameras), posed) if posed else nothing,
+    }
+
+
+def shape_of(body: Body) -> np.ndarray:
+    """(B,) float32 shape coefficients of the performer."""
+    return np.array([BUILD.get(name, 0.0) for name in body.shape_names or ()], dtype=np.float32)
+
+
+def motion(body: Body, settings: Settings) -> Poses:
+    """The posed body of every frame, above the origin: evenly spaced times of the training clips, then of the novel one."""
+    first = settings.frames - settings.frames // 2
+    counts = [(TRAINING_CLIPS[0], first), (TRAINING_CLIPS[1], settings.frames - first), (NOVEL_CLIP, settings.pose_frames)]
+    shape = shape_of(body)
+    parts = []
+    for name, count in counts:
+        if count:
+            clip = load_clip(name)
+            length = int(clip.duration * 30)
+            frames = np.round((np.arange(count) + 0.5) / count * length).astype(int)
+            parts.append(pose_sequence(body, clip, frames, rate=30.0, shape=shape, place="treadmill"))
+
+    def joined(field: Callable[[Poses], np.ndarray]) -> np.ndarray:
+        return np.concatenate([field(part) for part in parts])
+
+    return Poses(
+        np.arange(settings.frames + settings.pose_frames, dtype=np.int32),
+        joined(lambda p: p.vertices),
+        joined(lambda p: p.pose),
+        joined(lambda p: p.root_rotation),
+        joined(lambda p: p.translation),
+        shape,
+    )
+
+
+def _spread(count: int, chosen: int) -> np.ndarray:
+    """``chosen`` whole numbers below ``count``, in the middles of equal stretches."""
+    return np.floor((np.arange(chosen) + 0.5) / max(chosen, 1) * count).astype(int)

@@ -1,0 +1,131 @@
+"""Makes a synthetic capture: poses the performer, renders it from every camera that a split names, and writes the folder."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ndf_mi.body.anny import load_anny
+from ndf_mi.capture.document import FILE_NAME, Document
+from ndf_mi.capture.synthesise import lighting, plan
+from ndf_mi.capture.synthesise.performer import Performer
+from ndf_mi.capture.synthesise.ring import camera_ring
+from ndf_mi.capture.synthesise.studio import Studio
+from ndf_mi.capture.writer import CaptureWriter
+from ndf_mi.colour import linear_to_srgb, srgb_to_linear
+from ndf_mi.errors import InputError
+from ndf_mi.files import write_json
+
+#: The settings that a folder was made with: what tells whether work that was stopped can go on there.
+SETTINGS_FILE = "synthesis.json"
+#: sRGB of the pixels without performer.
+BACKGROUND = (0.5, 0.5, 0.5)
+#: Raised whenever the same settings give other pictures than before.
+RECIPE = 1
+
+_OWN_FILES = (FILE_NAME, "body.npz", "poses.npz", lighting.SCENE, lighting.ENVIRONMENT, SETTINGS_FILE)
+_OWN_FOLDERS = ("images", "masks")
+
+
+def synthesise(
+    out: Path,
+    settings: plan.Settings,
+    name: str = "performer",
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Path:
+    """Makes a capture in the folder ``out``, or goes on where an interrupted call with the same settings stopped.
+
+    Args:
+        out: a folder that is new, empty, or holds such an unfinished capture.
+        settings: what to make.
+        name: the capture's name.
+        overwrite: replaces another capture that is in ``out``; never anything else.
+        progress: called with the numbers of images done and to do, first with those that are there already.
+
+    Returns:
+        ``out``; nothing is done where the very capture is there already.
+
+    Raises:
+        InputError: ``out`` holds something else; or the body's data are missing.
+    """
+    out = Path(out)
+    made_with = {"name": name, "recipe": RECIPE, "mitsuba": metadata.version("mitsuba"), **asdict(settings)}
+    _claim(out, made_with, overwrite)
+    body = load_anny()
+    poses = plan.motion(body, settings)
+    cameras = camera_ring(settings.cameras, settings.pixels, poses.vertices, settings.seed)
+    document = Document(name, BACKGROUND, cameras, plan.splits(settings, list(cameras)), lighting=lighting.SCENE)
+    pairs = document.images()
+    progress(len(pairs) if (out / FILE_NAME).is_file() else 0, len(pairs))
+    if (out / FILE_NAME).is_file():
+        return out
+    write_json(out / SETTINGS_FILE, made_with)
+
+    writer = CaptureWriter(out, document)
+    missing = [pair for pair in pairs if not writer.has(*pair)]
+    done = len(pairs) - len(missing)
+    progress(done, len(pairs))
+    if missing:
+        performer = Performer(body, plan.shape_of(body))
+        studio = Studio(performer.layers, settings.spp)
+        for frame in sorted({frame for _, frame in missing}):
+            row = poses.index(frame)
+            studio.pose(
+                performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row], poses.vertices[row])
+            )
+            for camera in (camera for camera, of in missing if of == frame):
+                seed = (settings.seed * 1009 + frame) * 101 + list(cameras).index(camera)
+                radiance, coverage = studio.render(cameras[camera], seed % 2**31)
+                writer.write(camera, frame, composite(radiance, coverage), coverage > 0)
+                done += 1
+                progress(done, len(pairs))
+    lighting.write(out)
+    writer.finish(body, poses)
+    return out
+
+
+def composite(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
+    """(h, w, 3) sRGB: premultiplied linear radiance over the background, mixed in linear light."""
+    behind = (1 - coverage[..., None]) * np.asarray(srgb_to_linear(np.array(BACKGROUND)))
+    return np.asarray(linear_to_srgb(np.clip(radiance + behind, 0, 1)))
+
+
+def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
+    """Sees that ``out`` is new, empty or ours, and empties it of another capture if ``overwrite``."""
+    if out.is_file():
+        raise InputError(out, "a file", "a folder to make")
+    if not out.is_dir() or not any(out.iterdir()):
+        return
+    foreign = sorted(p.name for p in out.iterdir() if p.name not in _OWN_FILES + _OWN_FOLDERS)
+    has_settings = (out / SETTINGS_FILE).is_file()
+    if foreign or not (has_settings or (out / FILE_NAME).is_file()):
+        names = foreign or sorted(p.name for p in out.iterdir())
+        raise InputError(out, f"a folder that holds other things ({', '.join(names[:4])})", "a new or empty folder")
+    if _same_settings(out, made_with):
+        return
+    if not overwrite:
+        raise InputError(
+            out,
+            "a capture made with other settings",
+            f"a new or empty folder, or one with the same settings in {SETTINGS_FILE}",
+            "give another folder, or --overwrite to replace the capture",
+        )
+    for folder in _OWN_FOLDERS:
+        shutil.rmtree(out / folder, ignore_errors=True)
+    for file in _OWN_FILES:
+        (out / file).unlink(missing_ok=True)
+
+
+def _same_settings(out: Path, made_with: dict[str, Any]) -> bool:
+    try:
+        return bool(json.loads((out / SETTINGS_FILE).read_text(encoding="utf-8")) == made_with)
+    except (OSError, ValueError):
+        return False

