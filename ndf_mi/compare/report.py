@@ -74,7 +74,7 @@ def write_report(
 
 def _lead(results: Results) -> str:
     measured = results.about["measured"]
-    parts = [f"{count} of {SPLIT_LABELS[split]}" for split, count in measured.items() if count]
+    parts = [f"{measured[split]} of {SPLIT_LABELS[split]}" for split in results.splits()]
     train = results.about["capture"]["train"]
     return (
         f"Both were trained on the same images, {train['frames']} frames from {train['cameras']} cameras. "
@@ -84,14 +84,12 @@ def _lead(results: Results) -> str:
 
 def _cards(results: Results) -> str:
     cards = []
-    for split in results.splits():
-        if split == "train":
-            continue
+    for split in _held_out(results):
         first, *others = results.methods
         ahead = []
         for other in others:
             gain = tables.difference(first.mean(split, "box_psnr"), other.mean(split, "box_psnr"))
-            ahead.append(f"<li>{tables.signed('box_psnr', gain)} dB to {escape(_lower(other.label))}</li>")
+            ahead.append(f"<li>{tables.signed('box_psnr', gain)} dB against {escape(_lower(other.label))}</li>")
         value = tables.figure("box_psnr", first.mean(split, "box_psnr"))
         cards.append(
             f'<div class="card"><h2>{escape(first.label)}, {SPLIT_LABELS[split]}</h2>'
@@ -100,8 +98,12 @@ def _cards(results: Results) -> str:
     return f'<div class="cards">{"".join(cards)}</div>'
 
 
+def _held_out(results: Results) -> list[str]:
+    return [split for split in results.splits() if split != "train"]
+
+
 def _headline_table(results: Results) -> str:
-    splits = results.splits()
+    splits = _held_out(results)
     keys = tables.HEADLINE
     labels = (SPLIT_LABELS[split].capitalize() for split in splits)
     groups = "".join(f'<th class="group" colspan="{len(keys)}">{label}</th>' for label in labels)

@@ -1,0 +1,169 @@
+"""The whole comparison: a run, both meshes, the results and what a second call does."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from ndf_mi import files
+from ndf_mi.commands.compare import Compare
+from ndf_mi.commands.compare_console import print_tables
+from ndf_mi.compare import comparison, metrics
+from ndf_mi.compare.comparison import Comparison, Settings
+from ndf_mi.compare.methods import mesh_fit
+from ndf_mi.compare.methods.ndf import NeuralField, read_history
+from ndf_mi.errors import InputError
+from ndf_mi.field import PRESETS
+from ndf_mi.run import Run
+
+SETTINGS = Settings(max_images=1, texture=32, samples=16)
+
+
+class Watcher:
+    """Counts what it is told."""
+
+    def __init__(self) -> None:
+        self.trained: set[str] = set()
+        self.measured_images: list[tuple[str, int, int]] = []
+
+    def training(self, label, seconds, budget, step, loss):
+        self.trained.add(label)
+
+    def measured(self, label, done, of):
+        self.measured_images.append((label, done, of))
+
+
+@pytest.fixture(scope="module")
+def run(capture, tmp_path_factory):
+    """An untrained field that says it was trained for an hour on the capture."""
+    path = tmp_path_factory.mktemp("run")
+    made = Run.create(
+        path,
+        PRESETS["tiny"],
+        capture.body,
+        capture.poses,
+        seed=0,
+        background=capture.background.tolist(),
+        capture={"name": capture.name, "digest": capture.digest},
+        trained={"steps": 10, "seconds": 3600.0, "done": True},
+    )
+    made.save()
+    rows = [{"step": s, "seconds": float(s), "loss": 0.1 / s, "psnr": 10.0 + s, "samples": 5} for s in (5, 10)]
+    (path / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows) + '{"step": 1', encoding="utf-8")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def short_sweep(monkeypatch):
+    """Fewer rates and an early end: schedules have tests of their own."""
+    monkeypatch.setattr(mesh_fit, "RATES", (0.03, 0.1))
+    monkeypatch.setattr(mesh_fit, "SWEEP_STEPS", 4)
+    monkeypatch.setattr(mesh_fit, "WINDOW_STEPS", 4)
+    monkeypatch.setattr(mesh_fit, "TOLERANCE", 0.3)
+
+
+def compared(run, capture, folder, settings=SETTINGS):
+    watcher = Watcher()
+    return Comparison(run, capture.path, folder, settings, "ndf-mi compare").run(watcher), watcher
+
+
+def test_compares_once_and_goes_on_where_it_was(run, capture, tmp_path, monkeypatch, capsys):
+    # Convergence is faster than an hour, so one mesh stands for both.
+    first, watcher = compared(run, capture, tmp_path)
+    assert watcher.trained == {"mesh to convergence"}
+    assert [method.key for method in first.methods] == ["ndf", "mesh-converged"]
+    assert len(watcher.measured_images) == 2 * 3 and watcher.measured_images[-1][1:] == (3, 3)
+    assert first.methods[1].mean("novel_view", "box_psnr") > first.methods[0].mean("novel_view", "box_psnr")
+    assert (tmp_path / "report.html").stat().st_size > 10_000
+    document = json.loads((tmp_path / "compare.json").read_text())
+    assert set(document["methods"][0]["means"]["novel_pose"]) == set(metrics.LABELS)
+
+    again, watcher = compared(run, capture, tmp_path)
+    assert not watcher.trained and not watcher.measured_images
+    assert [method.images for method in again.methods] == [method.images for method in first.methods]
+
+    # A time that is asked for is trained for, with the rate that the sweep found.
+    timed, watcher = compared(run, capture, tmp_path, replace(SETTINGS, mesh_seconds=0.5))
+    assert watcher.trained == {"mesh of equal time"}
+    assert [method.key for method in timed.methods] == ["ndf", "mesh-equal-time", "mesh-converged"]
+    assert timed.methods[1].facts["budget"] == 0.5
+    assert timed.methods[1].facts["rate"] == timed.methods[2].facts["rate"]
+    assert {label for label, _, _ in watcher.measured_images} == {"Mesh, equal time"}
+
+    print_tables(timed)
+    printed = capsys.readouterr().out
+    assert "Novel views" in printed and "Mesh, equal time" in printed and "Box PSNR (dB)" in printed
+
+
+def test_an_interrupted_comparison_keeps_what_it_has(run, capture, tmp_path, monkeypatch):
+    class Interrupting(Watcher):
+        def measured(self, label, done, of):
+            if done == 2:
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Comparison(run, capture.path, tmp_path, SETTINGS, "").run(Interrupting())
+    assert not (tmp_path / "report.html").exists()
+    _, watcher = compared(run, capture, tmp_path)
+    assert not watcher.trained
+    assert [done for label, done, _ in watcher.measured_images if label == "NDF"] == [3]
+
+
+def test_field_says_what_it_is(run):
+    field = NeuralField(Run.load(run), samples=16)
+    assert field.facts()["seconds"] == 3600 and field.facts()["steps"] == 10 and field.facts()["samples"] == 16
+    assert [row["step"] for row in field.history] == [5, 10]
+    assert field.fingerprint() == NeuralField(Run.load(run), samples=16).fingerprint()
+    assert field.fingerprint() != NeuralField(Run.load(run), samples=8).fingerprint()
+
+
+def test_a_damaged_log_is_named(tmp_path):
+    assert read_history(tmp_path) == []
+    (tmp_path / "metrics.jsonl").write_text('{"step": 1}\nnonsense\n{"step": 2}\n')
+    with pytest.raises(InputError, match="metrics.jsonl:2"):
+        read_history(tmp_path)
+
+
+def test_another_capture_is_refused(run, write_capture, tmp_path):
+    with pytest.raises(InputError, match="trained on"):
+        Comparison(run, write_capture("other"), tmp_path, SETTINGS, "")
+    assert not any(tmp_path.iterdir())
+
+
+def test_not_a_run(capture, tmp_path):
+    with pytest.raises(InputError, match="config.json"):
+        Comparison(tmp_path, capture.path, tmp_path / "out", SETTINGS, "")
+
+
+def test_a_run_without_training_time_needs_the_option(run, capture, tmp_path, monkeypatch):
+    config = json.loads((run / "config.json").read_text())
+    files.write_json(run / "config.json", {key: value for key, value in config.items() if key != "trained"})
+    try:
+        with pytest.raises(InputError, match="--mesh-seconds"):
+            Comparison(run, capture.path, tmp_path, SETTINGS, "")
+        Comparison(run, capture.path, tmp_path, replace(SETTINGS, mesh_seconds=1.0), "")
+    finally:
+        files.write_json(run / "config.json", config)
+
+
+@pytest.mark.parametrize(
+    "option", [{"max_images": 0}, {"texture": 0}, {"samples": -1}, {"mesh_seconds": 0.0}, {"seed": -1}]
+)
+def test_options_are_checked(option):
+    with pytest.raises(InputError, match="option"):
+        Settings(**option)
+
+
+def test_command_repeats_itself(tmp_path):
+    command = Compare(tmp_path / "run", tmp_path / "capture", max_images=3, output=tmp_path / "out")
+    arguments = command._arguments()
+    assert arguments[:4] == ["compare", str(tmp_path / "run"), "--capture", str(tmp_path / "capture")]
+    assert arguments[4:] == ["--output", str(tmp_path / "out"), "--max-images", "3"]
+
+
+def test_folder_with_something_else_is_refused(run, capture, tmp_path):
+    (tmp_path / comparison.RESULTS).write_text("{}")
+    with pytest.raises(InputError, match="compare.json"):
+        Comparison(run, capture.path, tmp_path, SETTINGS, "")
