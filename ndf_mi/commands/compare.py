@@ -24,7 +24,7 @@ class Compare:
     capture: Path
     """Folder of the capture that the run was trained on."""
 
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the report, figures and pictures; RUN by default."""
 
     mesh_seconds: float | None = None
@@ -48,7 +48,7 @@ class Compare:
         from ndf_mi.compare.comparison import REPORT, Comparison, Settings
         from ndf_mi.compare.report import command_line
 
-        folder = self.output or self.run_folder
+        folder = self.out or self.run_folder
         settings = Settings(self.mesh_seconds, self.max_images, self.texture, self.samples, self.seed)
         comparison = Comparison(self.run_folder, self.capture, folder, settings, command_line(self._arguments()))
         with ConsoleWatcher(sys.stderr) as watcher:

@@ -127,8 +127,12 @@ class Comparison:
     def _mesh(self, key: str, budget: float | None, watcher: Watcher) -> TexturedMesh:
         """The mesh of this budget, from the folder if one of the same settings is there."""
         folder = self._work / key
-        wanted = {"size": self.settings.texture, "seed": self.settings.seed, "budget": budget}
-        wanted["capture"] = self._capture.digest
+        wanted: dict[str, Any] = {
+            "size": self.settings.texture,
+            "seed": self.settings.seed,
+            "budget": budget,
+            "capture": self._capture.digest,
+        }
         if (folder / "mesh.json").exists():
             mesh = TexturedMesh.load(folder, self._capture)
             if all(mesh.facts()[name] == value for name, value in wanted.items()):

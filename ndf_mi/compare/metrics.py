@@ -7,10 +7,11 @@ padded, axis-aligned 3D box: the background, which every method gets right, woul
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 from scipy.ndimage import uniform_filter
+
+from ndf_mi.capture.camera import Camera
 
 SSIM_WINDOW = 7
 LABELS = {
@@ -24,22 +25,10 @@ LABELS = {
 HIGHER_IS_BETTER = {name: name != "box_flip" for name in LABELS}
 
 
-class PinholeCamera(Protocol):
-    """What `box_mask` reads of a camera: OpenGL axes, pixel centres at half-integers."""
-
-    w: int
-    h: int
-    fl_x: float
-    fl_y: float
-    cx: float
-    cy: float
-    transform: np.ndarray
-
-
-def box_mask(camera: PinholeCamera, vertices: np.ndarray, padding: float = 0.05) -> np.ndarray:
+def box_mask(camera: Camera, vertices: np.ndarray, padding: float = 0.05) -> np.ndarray:
     """The pixels whose ray through the centre hits the box of `vertices` (V, 3), grown by `padding` metres.
 
-    Returns (h, w) bool. A box behind the camera is not hit; a camera inside the box hits it everywhere.
+    Returns (h, w) bool; distortion is left out. A box behind the camera is not hit; a camera inside the box hits it everywhere.
     """
     lower = vertices.min(axis=0).astype(np.float64) - padding
     upper = vertices.max(axis=0).astype(np.float64) + padding

@@ -157,10 +157,10 @@ def test_options_are_checked(option):
 
 
 def test_command_repeats_itself(tmp_path):
-    command = Compare(tmp_path / "run", tmp_path / "capture", max_images=3, output=tmp_path / "out")
+    command = Compare(tmp_path / "run", tmp_path / "capture", max_images=3, out=tmp_path / "out")
     arguments = command._arguments()
     assert arguments[:4] == ["compare", str(tmp_path / "run"), "--capture", str(tmp_path / "capture")]
-    assert arguments[4:] == ["--output", str(tmp_path / "out"), "--max-images", "3"]
+    assert arguments[4:] == ["--out", str(tmp_path / "out"), "--max-images", "3"]
 
 
 def test_folder_with_something_else_is_refused(run, capture, tmp_path):
