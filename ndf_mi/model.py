@@ -8,6 +8,7 @@ import mitsuba as mi
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.field import Field, Preset
+from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.projection import PosedSurface, Surface
 from ndf_mi.render.quadrature import FieldSample
 
@@ -52,15 +53,18 @@ class PosedModel:
         field: the networks.
         surface: the posed body, reusable as long as the pose stays.
         pose: flat (3·J) axis-angles.
+        occupancy: in training, leaves out what is empty; its `observe` is the caller's to call.
     """
 
-    def __init__(self, field: Field, surface: PosedSurface, pose: mi.Float) -> None:
+    def __init__(self, field: Field, surface: PosedSurface, pose: mi.Float, occupancy: Occupancy | None = None) -> None:
         self.surface = surface
         self.bound = field.bind(pose)
         self.bbox = surface.bbox
         self.majorant = field.majorant
         self._band = field.preset.band
+        self._inside = field.preset.band_inside
         self._fade = field.preset.band_fade
+        self._occupancy = occupancy
 
     def near(self, x: mi.Point3f) -> mi.Bool:
         """False only where x is outside the band for certain; cheap."""
@@ -69,8 +73,11 @@ class PosedModel:
     def locate(self, x: mi.Point3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
         """The closest triangle of each point, detached, and whether the point is in the band."""
         triangle = self.surface.closest(x, active)
-        found = self.surface.project_onto(triangle, x)
-        return triangle, active & found.valid
+        found = self.surface.project_onto(triangle, x, active)
+        keep = found.valid & (found.l >= -self._inside)
+        if self._occupancy is not None:
+            keep &= self._occupancy.keep(self.unit(found.uv, found.l))
+        return triangle, keep
 
     def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: mi.UInt32, active: mi.Bool) -> FieldSample:
         """Density, colour and coordinates at located points through batched networks; attached to x, vertices and weights."""
@@ -82,15 +89,21 @@ class PosedModel:
         triangle = self.surface.closest(x, active)
         return self._evaluate(x, d, triangle, active, fused=True)
 
+    def unit(self, uv: mi.Point2f, l: mi.Float) -> mi.Point3f:
+        """(u*, v*, l*) in the unit cube: l from −`band_inside` to `band` becomes 0 to 1."""
+        scale = 1.0 / (self._band + self._inside)
+        return mi.Point3f(uv.x, uv.y, dr.fma(l, scale, self._inside * scale))
+
     def _evaluate(self, x: mi.Point3f, d: mi.Vector3f, triangle: mi.UInt32, active: mi.Bool, fused: bool) -> FieldSample:
-        found = self.surface.project_onto(triangle, x)
-        active = active & found.valid
+        found = self.surface.project_onto(triangle, x, active)
+        active = active & found.valid & (found.l >= -self._inside)
         # A non-finite input in a masked lane would poison every weight's gradient.
         l = dr.select(active, found.l, 0.0)
         uv = dr.select(active, found.uv, 0.0)
-        u = mi.Point3f(uv.x, uv.y, dr.fma(l, 0.5 / self._band, 0.5))
+        u = self.unit(uv, l)
         sigma, colour = self.bound.fused(u, d, active) if fused else self.bound.batched(u, d)
         if self._fade > 0:
-            s = dr.clip((1.0 - dr.abs(l) / self._band) / self._fade, 0.0, 1.0)
-            sigma *= s * s * dr.fma(s, -2.0, 3.0)
+            for depth in ((self._band - l) / self._band, (self._inside + l) / self._inside):
+                s = dr.clip(depth / self._fade, 0.0, 1.0)
+                sigma *= s * s * dr.fma(s, -2.0, 3.0)
         return FieldSample(dr.select(active, sigma, 0.0), colour, mi.Point3f(uv.x, uv.y, l), found.normal)

@@ -44,7 +44,7 @@ class Optimise:
 
     def run(self) -> int:
         """Trains; prints where the run is and how well it fits its training rays."""
-        from ndf_mi.capture import Capture
+        from ndf_mi.capture.capture import Capture
         from ndf_mi.learn.loop import resume, start, train
 
         capture = Capture.read(self.capture)

@@ -68,7 +68,7 @@ class Render:
         return 0
 
     def _run(self) -> None:
-        from ndf_mi.capture import Capture
+        from ndf_mi.capture.capture import Capture
         from ndf_mi.capture.viewpoint import framing
         from ndf_mi.render.image import ImageRenderer
         from ndf_mi.render.output import write_exr, write_png

@@ -21,8 +21,11 @@ class Preset:
     band: float = 0.08
     """Half width δ_N of the band around the body, in metres."""
 
+    band_inside: float = 0.03
+    """How far the band reaches into the body, in metres: at most `band`. What is seen lies outside the skin but for errors of the fit."""
+
     band_fade: float = 0.1
-    """Outer fraction of the band over which the density fades smoothly to nothing, so that the field is continuous at its edge;
+    """Fraction of the band at both its edges over which the density fades smoothly to nothing, so that the field is continuous there;
     0 for the paper's hard edge."""
 
     pose_layers: tuple[int, ...] = (64, 16)
@@ -55,7 +58,7 @@ class Preset:
     grid_l_scale: float = 0.125
     """Resolution along l relative to that along u and v (`grid` only)."""
 
-    density_layers: tuple[int, ...] = (64, 64)
+    density_layers: tuple[int, ...] = (64,)
     """Hidden widths of the density network M_σ."""
 
     density_skip: int = 0
@@ -83,13 +86,15 @@ class Preset:
     density_gain: float = 100.0
     """Factor from the network's output to the activation in 1/m."""
 
-    density_bias: float = -2.0
+    density_bias: float = -4.0
     """Added to the network's output before the activation (`softplus` only); it sets how thin the field starts."""
 
     def __post_init__(self) -> None:
         for key in ("band", "density_limit", "density_gain"):
             if not getattr(self, key) > 0:
                 raise InputError(f"preset option {key}", repr(getattr(self, key)), "a number above 0")
+        if not 0 < self.band_inside <= self.band:
+            raise InputError("preset option band_inside", repr(self.band_inside), f"a number above 0, at most the band's {self.band}")
         if not 0 <= self.band_fade < 1:
             raise InputError("preset option band_fade", repr(self.band_fade), "a fraction in [0, 1)")
         for key in ("pose_layers", "deformation_layers", "density_layers", "colour_layers", "colour_linear"):
@@ -127,7 +132,7 @@ PRESETS: dict[str, Preset] = {
         name="paper", pose_layers=(256, 128), deformation_layers=(128,), deformation_octaves=10, deformation_scale=0.001,
         encoding="frequency", octaves=10, density_layers=(256,) * 7, density_skip=5, feature_width=0,
         colour_linear=(256, 256), colour_layers=(128,), direction_octaves=4, density_activation="relu",
-        density_gain=1.0, density_bias=0.0, density_limit=10000.0, band_fade=0.0,
+        density_gain=1.0, density_bias=0.0, density_limit=10000.0, band_inside=0.08, band_fade=0.0,
     ),
 }
 

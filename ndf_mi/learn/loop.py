@@ -17,7 +17,7 @@ from tensorboardX import SummaryWriter
 
 import ndf_mi
 from ndf_mi import files
-from ndf_mi.capture import Capture
+from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.field import Preset
 from ndf_mi.learn.options import TrainingOptions

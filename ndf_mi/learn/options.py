@@ -25,6 +25,9 @@ class TrainingOptions:
     samples: int = 64
     """Candidate samples a ray."""
 
+    skip_empty: bool = True
+    """Leave out samples where the field has been found empty, but for a random tenth of them."""
+
     mask_share: float = 0.5
     """Share of the rays that are drawn from the mask's pixels, the others from the body's padded box."""
 
@@ -90,4 +93,5 @@ class TrainingOptions:
     @classmethod
     def paper(cls) -> TrainingOptions:
         """The published schedule and loss."""
-        return cls(steps=200_000, edge_kernel=3, learning_rate=5e-4, decay_steps=500_000, opacity_weight=0.0)
+        return cls(steps=200_000, edge_kernel=3, learning_rate=5e-4, decay_steps=500_000, opacity_weight=0.0,
+                   skip_empty=False)

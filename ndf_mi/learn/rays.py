@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from ndf_mi.capture import Camera, Capture, Split
+from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.capture import Capture
+from ndf_mi.capture.document import Split
 from ndf_mi.errors import InputError
 from ndf_mi.learn.options import TrainingOptions
 

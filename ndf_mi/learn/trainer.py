@@ -11,8 +11,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ndf_mi.capture import Capture
+from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
+from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.learn.loss import ImageLoss
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RaySampler
@@ -23,6 +24,9 @@ from ndf_mi.run import Run
 
 STATE = "state.safetensors"
 _SMOOTHING = 0.98
+_SETTLE = (192, 256, 768, 1024, 3072, 4096)
+"""Steps before which array sizes are fitted to what is needed by then; each time, some kernels may be compiled anew. In pairs: the
+first of a pair only starts the count."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,8 @@ class Trainer:
         self._table = None
         if field.grid is not None:
             self._table = mi.ad.Adam(lr=options.grid_rate, params={"grid": field.grid}, mask_updates=True, epsilon=1e-15)
+        # One percent of opacity over a centimetre; training starts above it.
+        self._occupancy = Occupancy(threshold=1.0) if options.skip_empty else None
         self._step = 0
         self._seconds = 0.0
         self._error = float("nan")
@@ -80,6 +86,9 @@ class Trainer:
     def step(self) -> None:
         """Takes one step."""
         started = time.perf_counter()
+        if self._step in _SETTLE:
+            self._workspace.near.settle()
+            self._workspace.inside.settle()
         self._set_rates()
         batch = self._rays(self._rng)
         jitter = mi.Float(self._rng.random(self.options.rays * self.options.samples, dtype=np.float32))
@@ -88,7 +97,7 @@ class Trainer:
         field.weights = self._networks["weights"]
         if self._table is not None:
             field.grid = self._table["grid"]
-        posed = PosedModel(field, self.run.surface(batch.frame), self.run.pose_vector(batch.frame))
+        posed = PosedModel(field, self.run.surface(batch.frame), self.run.pose_vector(batch.frame), self._occupancy)
         ray = mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction))
         seen = quadrature(posed, ray, self.options.samples, jitter=jitter, workspace=self._workspace)
         loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask))
@@ -99,6 +108,9 @@ class Trainer:
         self._networks.step()
         if self._table is not None:
             self._table.step()
+        if self._occupancy is not None:
+            u = seen.samples.u
+            self._occupancy.observe(posed.unit(mi.Point2f(u.x, u.y), u.z), seen.samples.sigma, seen.inside)
         error = float(loss.image[0])
         self._error = error if math.isnan(self._error) else _SMOOTHING * self._error + (1 - _SMOOTHING) * error
         self._loss.observe(self._error)
@@ -118,6 +130,8 @@ class Trainer:
         tensors = adam_tensors(self._networks, "networks")
         if self._table is not None:
             tensors |= adam_tensors(self._table, "table")
+        if self._occupancy is not None:
+            tensors["occupancy"] = self._occupancy.values.numpy()
         facts: dict[str, Any] = {
             "step": self._step,
             "seconds": self._seconds,
@@ -146,6 +160,8 @@ class Trainer:
             self._step, self._seconds = int(facts["step"]), float(facts["seconds"])
             self._error = float("nan") if facts["error"] is None else float(facts["error"])
             self._workspace.near.size, self._workspace.inside.size = int(facts["near"]), int(facts["inside"])
+            if self._occupancy is not None:
+                self._occupancy.restore(tensors["occupancy"], self._step)
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(path, f"facts that are not a training state's ({error})", "what a checkpoint writes") from None
         if not math.isnan(self._error):

@@ -15,9 +15,10 @@ def box_interval(box: mi.BoundingBox3f, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Floa
     Returns:
         hit, near, far; near = far = 0 where the box is missed.
     """
-    # Opaque: the box differs from pose to pose, and a literal would be compiled in.
-    dr.make_opaque(box)
-    hit, near, far = box.ray_intersect(ray)
+    low, high = mi.Point3f(box.min), mi.Point3f(box.max)
+    # The box differs from pose to pose: a literal would be compiled into the kernel.
+    dr.make_opaque(low, high)
+    hit, near, far = mi.BoundingBox3f(low, high).ray_intersect(ray)
     near = dr.maximum(near, 0.0)
     far = dr.minimum(far, ray.maxt)
     hit &= far > near
@@ -46,20 +47,22 @@ def stratified(near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | N
 class Compaction:
     """Chooses the lanes where a mask holds, padded to a size that seldom changes.
 
-    Sizes are Python numbers and enter kernels: each new one costs a compilation. The size therefore only grows, with a margin,
-    and starts from `size` where that is given.
+    Sizes are Python numbers and enter kernels: each new one costs a compilation. The size therefore only grows by itself, with a
+    margin, from `size` where that is given; :meth:`settle` lets it shrink.
     """
 
     def __init__(self, size: int = 0, margin: float = 1.25) -> None:
         self.size = size
         self.margin = margin
+        self._largest = 0
 
     def __call__(self, mask: mi.Bool) -> tuple[mi.UInt32, mi.Bool, int]:
         """Returns the chosen lanes' indices (0 in the padding), which entries are real, and how many those are. Evaluates `mask`."""
         chosen = dr.compress(mask)
         count = dr.width(chosen)
+        self._largest = max(self._largest, count)
         if count > self.size:
-            self.size = -(-int(count * self.margin) // QUANTUM) * QUANTUM
+            self.size = self._padded(count)
         self.size = max(self.size, QUANTUM)
         lane = dr.arange(mi.UInt32, self.size)
         real = lane < dr.opaque(mi.UInt32, count)
@@ -68,3 +71,13 @@ class Compaction:
         index = dr.gather(mi.UInt32, chosen, lane, real)
         dr.eval(index, real)
         return index, real, count
+
+    def settle(self) -> None:
+        """Shrinks the size to what the calls since the last settling needed, if that is much less."""
+        needed = max(self._padded(self._largest), QUANTUM)
+        if self._largest and needed < 0.8 * self.size:
+            self.size = needed
+        self._largest = 0
+
+    def _padded(self, count: int) -> int:
+        return -(-int(count * self.margin) // QUANTUM) * QUANTUM

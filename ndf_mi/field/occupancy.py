@@ -1,0 +1,66 @@
+"""Where in (u, v, l) a field in training is dense, so that its empty parts need not be evaluated."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+
+class Occupancy:
+    """A coarse grid over the unit cube of (u, v, l) with a decaying maximum of the densities seen in each cell, over all poses
+    (after Müller et al. 2022, there over world space).
+
+    A share of the samples in empty cells is kept nevertheless, so that a cell that becomes dense is noticed.
+
+    Args:
+        threshold: densities in 1/m below which a cell counts as empty.
+        resolution: cells along u, v and l.
+        decay: factor on all cells a step.
+        explore: share of the samples in empty cells that are kept.
+    """
+
+    def __init__(self, threshold: float, resolution: tuple[int, int, int] = (128, 128, 24), decay: float = 0.99,
+                 explore: float = 0.1) -> None:
+        self._threshold = threshold
+        self._resolution = resolution
+        self._decay = decay
+        self._explore = explore
+        self._salt = 0
+        # Everything starts occupied, and stays so for the first hundred steps or so even where no sample comes.
+        self.values = dr.full(mi.Float, threshold / decay**100, int(np.prod(resolution)))
+        dr.make_opaque(self.values)
+
+    def keep(self, u: mi.Point3f) -> mi.Bool:
+        """Which points of the unit cube to evaluate: those in occupied cells, and a random few of the others."""
+        with dr.suspend_grad():
+            occupied = dr.gather(mi.Float, self.values, self._cell(u)) > self._threshold
+            chance = mi.sample_tea_float32(dr.arange(mi.UInt32, dr.width(u)), dr.opaque(mi.UInt32, self._salt))
+            return occupied | (chance < self._explore)
+
+    def observe(self, u: mi.Point3f, sigma: mi.Float, active: mi.Bool) -> None:
+        """Takes in the densities of a step's samples."""
+        with dr.suspend_grad():
+            values = self.values * self._decay
+            dr.scatter_reduce(dr.ReduceOp.Max, values, dr.detach(sigma), self._cell(dr.detach(u)), active)
+            self.values = values
+            dr.eval(self.values)
+        self._salt += 1
+
+    @property
+    def share(self) -> float:
+        """Share of the cells that count as occupied."""
+        return float(dr.mean(dr.select(self.values > self._threshold, mi.Float(1), mi.Float(0)))[0])
+
+    def restore(self, values: np.ndarray, step: int) -> None:
+        """Sets the cells' values and the number of steps seen."""
+        self.values = mi.Float(values.astype(np.float32))
+        self._salt = step
+
+    def _cell(self, u: mi.Point3f) -> mi.UInt32:
+        nx, ny, nz = self._resolution
+
+        def index(x: mi.Float, n: int) -> mi.UInt32:
+            return mi.UInt32(dr.clip(x * n, 0.0, n - 1.0))
+
+        return (index(u.z, nz) * ny + index(u.y, ny)) * nx + index(u.x, nx)
