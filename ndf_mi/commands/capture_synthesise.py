@@ -32,7 +32,7 @@ class CaptureSynthesise:
     pose_frames: int | None = None
     """Frames of novel poses, instead of the size's."""
     overwrite: bool = False
-    """Replace a capture that was made in OUT with other settings."""
+    """Make anew what is in OUT, where that is a capture."""
 
     def run(self) -> int:
         """Makes the capture, with a progress bar."""
@@ -54,8 +54,8 @@ class CaptureSynthesise:
         if self.frames is not None:
             given["view_frames"] = min(settings.view_frames, self.frames)
         if self.cameras is not None:
-            given["train_cameras"] = min(settings.train_cameras, self.cameras)
-            given["pose_cameras"] = min(settings.pose_cameras, self.cameras)
+            given["train_cameras"] = train = min(settings.train_cameras, self.cameras)
+            given["pose_cameras"] = min(settings.pose_cameras, self.cameras - train or self.cameras)
         settings = replace(settings, **given)
         variants.use()
         from ndf_mi.capture.synthesise.synthesise import synthesise

@@ -16,8 +16,8 @@ _HEIGHT, _WIDTH = 64, 128
 
 #: Direction towards the light, angular width (radians), linear radiance at its middle.
 _LOBES = (
-    ((0.55, 0.70, 0.60), 0.30, (6.6, 6.0, 5.2)),
-    ((-0.75, 0.45, 0.35), 0.50, (0.75, 0.85, 1.05)),
+    ((0.55, 0.70, 0.60), 0.30, (9.5, 8.8, 7.8)),
+    ((-0.75, 0.45, 0.35), 0.50, (1.0, 1.1, 1.35)),
     ((-0.30, 0.40, -0.85), 0.40, (1.9, 1.9, 2.1)),
 )
 
@@ -29,8 +29,8 @@ def environment() -> np.ndarray:
     phi = (columns + 0.5) / _WIDTH * 2 * np.pi
     direction = np.stack([np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta)], axis=-1)
     up = direction[..., 1:2]
-    sky = np.array([0.42, 0.46, 0.52]) + np.array([0.05, 0.10, 0.20]) * np.maximum(up, 0)
-    ground = np.array([0.26, 0.24, 0.21])
+    sky = np.array([0.58, 0.62, 0.68]) + np.array([0.05, 0.10, 0.20]) * np.maximum(up, 0)
+    ground = np.array([0.36, 0.33, 0.29])
     radiance = ground + (sky - ground) / (1 + np.exp(-up / 0.06))
     for towards, width, peak in _LOBES:
         axis = np.array(towards) / np.linalg.norm(towards)

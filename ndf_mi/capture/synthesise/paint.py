@@ -27,8 +27,8 @@ def stripe(turns: np.ndarray, width: float) -> np.ndarray:
 def shirt(frame: Frame, rest: np.ndarray) -> np.ndarray:
     """A tartan: bands around and along trunk and sleeves, darker cuffs, collar and button strip, buttons."""
     sleeve = rise(frame.arm, 0.42, 0.58)
-    around = np.where(sleeve > 0.5, 6 * frame.arm_phi / (2 * np.pi), 16 * frame.trunk_phi / (2 * np.pi))
-    along = np.where(sleeve > 0.5, frame.arm_s / 0.065, rest[:, 1] / 0.065)
+    around = np.where(sleeve > 0.5, 4 * frame.arm_phi / (2 * np.pi), 11 * frame.trunk_phi / (2 * np.pi))
+    along = np.where(sleeve > 0.5, frame.arm_s / 0.09, rest[:, 1] / 0.09)
     colour = np.tile(tone(205, 190, 160), (len(rest), 1))
     for turns in (around, along):
         colour = over(colour, tone(150, 32, 38), 0.62 * stripe(turns, 0.42))
@@ -42,20 +42,20 @@ def shirt(frame: Frame, rest: np.ndarray) -> np.ndarray:
     return over(colour, tone(240, 235, 225), (button & front).astype(float))
 
 
-def collar_and_cuffs(colour: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """A dark border where ``edge`` (N,), metres from the rim, is below 2 cm."""
-    return over(colour, tone(60, 22, 30), rise(edge, 0.022, 0.016))
+def borders(colour: np.ndarray, rim: np.ndarray) -> np.ndarray:
+    """A dark border where ``rim`` (N,), metres from the nearest rim, is below 2 cm."""
+    return over(colour, tone(60, 22, 30), rise(rim, 0.022, 0.016))
 
 
 def trousers(frame: Frame, rest: np.ndarray, hem: float) -> np.ndarray:
     """Denim: fine pale stripes along the leg, seams, pale knees and thighs, turned-up cuffs, weave-like mottling."""
     colour = np.tile(tone(52, 72, 112), (len(rest), 1))
     colour = colour * (1 + 0.16 * waves(rest, 0.05, 21))[:, None].clip(0.5, 1.6)
-    colour = over(colour, tone(120, 140, 175), 0.5 * stripe(14 * frame.leg_phi / (2 * np.pi), 0.18))
+    colour = over(colour, tone(120, 140, 175), 0.5 * stripe(12 * frame.leg_phi / (2 * np.pi), 0.18))
     worn = np.exp(-(((frame.y - frame.knee - 0.02) / 0.09) ** 2)) + np.exp(-(((frame.y - 0.68) / 0.11) ** 2))
     front = 0.5 + 0.5 * np.cos(frame.leg_phi)
     colour = over(colour, tone(150, 168, 195), 0.45 * worn.clip(0, 1) * front**2)
-    seam = rise(np.abs(frame.leg_phi - np.pi / 2), 0.16, 0.10)
+    seam = rise(np.abs(frame.leg_phi - np.pi / 2), 0.12, 0.07)
     colour = over(colour, tone(196, 150, 84), 0.8 * seam * (frame.y < 0.9))
     return over(colour, tone(150, 165, 190), rise(frame.y, hem + 0.05, hem + 0.043))
 

@@ -33,7 +33,7 @@ class Settings:
         frames: how many frames are learnt from.
         view_frames: how many of these, evenly spaced, the novel views show.
         pose_frames: how many frames of the other motion are the novel poses.
-        pose_cameras: how many cameras, evenly spaced, see the novel poses.
+        pose_cameras: how many cameras, evenly spaced among the novel views where there are any, see the novel poses.
         seed: of the cameras' placement and the renderer's sampling.
     """
 
@@ -57,7 +57,7 @@ class Settings:
             ("frames", 1, 190),
             ("view_frames", 0, self.frames),
             ("pose_frames", 0, 120),
-            ("pose_cameras", 1, self.cameras),
+            ("pose_cameras", 1, self.cameras - self.train_cameras or self.cameras),
             ("seed", 0, 2**31 - 1),
         ):
             value = getattr(self, name)
@@ -67,8 +67,8 @@ class Settings:
 
 SIZES = {
     "tiny": Settings(48, 16, 5, 2, 3, 1, 1, 2),
-    "quick": Settings(128, 64, 8, 4, 14, 3, 4, 4),
-    "studio": Settings(256, 128, 21, 4, 64, 6, 10, 7),
+    "quick": Settings(128, 100, 8, 4, 14, 3, 4, 4),
+    "studio": Settings(256, 132, 21, 4, 64, 6, 10, 7),
 }
 
 
@@ -83,7 +83,7 @@ def splits(settings: Settings, names: list[str]) -> dict[str, Split]:
     return {
         "train": Split(train, frames),
         "novel_view": Split(others, viewed) if others and viewed else nothing,
-        "novel_pose": Split(evenly(names, settings.pose_cameras), posed) if posed else nothing,
+        "novel_pose": Split(evenly(list(others or train), settings.pose_cameras), posed) if posed else nothing,
     }
 
 
@@ -93,7 +93,7 @@ def shape_of(body: Body) -> np.ndarray:
 
 
 def motion(body: Body, settings: Settings) -> Poses:
-    """The posed body of every frame, above the origin: evenly spaced times of the training clips, then of the novel one."""
+    """The posed body of every frame, its lowest point at the height 0 and its hips over the origin: evenly spaced times of the training clips, then of the novel one."""
     first = settings.frames - settings.frames // 2
     counts = [(TRAINING_CLIPS[0], first), (TRAINING_CLIPS[1], settings.frames - first), (NOVEL_CLIP, settings.pose_frames)]
     shape = shape_of(body)
@@ -108,12 +108,15 @@ def motion(body: Body, settings: Settings) -> Poses:
     def joined(field: Callable[[Poses], np.ndarray]) -> np.ndarray:
         return np.concatenate([field(part) for part in parts])
 
+    # The lowest point of every frame stands on y = 0: a jump or a climb would leave the image otherwise.
+    vertices = joined(lambda p: p.vertices)
+    lift = np.array([0, 1, 0], dtype=np.float32) * vertices[..., 1].min(axis=1)[:, None]
     return Poses(
         np.arange(settings.frames + settings.pose_frames, dtype=np.int32),
-        joined(lambda p: p.vertices),
+        vertices - lift[:, None],
         joined(lambda p: p.pose),
         joined(lambda p: p.root_rotation),
-        joined(lambda p: p.translation),
+        joined(lambda p: p.translation) - lift,
         shape,
     )
 

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.synthesise import lighting
 from ndf_mi.capture.synthesise.layers import Layer
 
 _MAX_DEPTH = 3
-#: Pixels around the performer's projected box that are rendered with it.
-_MARGIN = 2
 
 
 class Studio:
@@ -36,7 +35,9 @@ class Studio:
         self._parameters = mi.traverse(self._scene)
         self._integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH, "hide_emitters": True})
         self._sampler = mi.load_dict({"type": "multijitter", "sample_count": spp})
+        self._faces = [layer.faces for layer in layers]
         self._points = np.empty((0, 3))
+        self._edge = 0.0
 
     def pose(self, layers: Sequence[np.ndarray]) -> None:
         """Moves the layers to these world vertices, (N, 3) each."""
@@ -44,6 +45,7 @@ class Studio:
             self._parameters[key] = mi.Float(np.ascontiguousarray(vertices, dtype=np.float32).ravel())
         self._parameters.update()
         self._points = np.concatenate(list(layers))
+        self._edge = max(_longest_edge(vertices, faces) for vertices, faces in zip(layers, self._faces, strict=True))
 
     def render(self, camera: Camera, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """The performer as ``camera`` sees it, box-filtered.
@@ -51,24 +53,33 @@ class Studio:
         Returns:
             (h, w, 3) float32 linear radiance, premultiplied by the coverage, and (h, w) float32 coverage in [0, 1].
         """
-        left, top, width, height = _crop(camera, self._points)
+        pixels = self._seen_pixels(camera)
         samples = self._sampler.sample_count()
         self._sampler.set_samples_per_wavefront(samples)
-        self._sampler.seed(seed, width * height * samples)
-        pixel = dr.arange(mi.UInt32, width * height * samples) // samples
-        columns = dr.opaque(mi.UInt32, width)
-        row = pixel // columns
-        corner = mi.Point2f(mi.Float(pixel - row * columns), mi.Float(row))
-        offset = mi.Point2f(dr.opaque(mi.Float, left), dr.opaque(mi.Float, top))
-        ray = mi.RayDifferential3f(camera.rays(corner + offset + self._sampler.next_2d()))
+        self._sampler.seed(seed, len(pixels) * samples)
+        pixel = dr.gather(mi.UInt32, mi.UInt32(pixels), dr.arange(mi.UInt32, len(pixels) * samples) // samples)
+        width = dr.opaque(mi.UInt32, camera.w)
+        row = pixel // width
+        position = mi.Point2f(mi.Float(pixel - row * width), mi.Float(row)) + self._sampler.next_2d()
+        ray = mi.RayDifferential3f(camera.rays(position))
         radiance, hit, _ = self._integrator.sample(self._scene, self._sampler, ray)
         channels = [radiance.x, radiance.y, radiance.z, dr.select(hit, mi.Float(1), 0)]
-        means = [dr.block_sum(channel, samples) / samples for channel in channels]
-        dr.eval(means)
-        rendered = np.stack([np.array(mean).reshape(height, width) for mean in means], axis=-1)
-        out = np.zeros((camera.h, camera.w, 4), dtype=np.float32)
-        out[top : top + height, left : left + width] = rendered
-        return out[..., :3], out[..., 3]
+        # Evaluated together: each block sum would launch the path tracer anew otherwise.
+        dr.eval(channels)
+        out = np.zeros((camera.h * camera.w, 4), dtype=np.float32)
+        out[pixels] = np.stack([np.array(dr.block_sum(channel, samples)) for channel in channels], axis=1) / samples
+        image = out.reshape(camera.h, camera.w, 4)
+        return image[..., :3], image[..., 3]
+
+    def _seen_pixels(self, camera: Camera) -> np.ndarray:
+        """(P,) uint32 row-major indices of the pixels that the performer can touch: those within a triangle of a vertex."""
+        columns, rows = np.floor(camera.project(self._points)).astype(int).T
+        inside = (columns >= 0) & (columns < camera.w) & (rows >= 0) & (rows < camera.h)
+        seen = np.zeros((camera.h, camera.w), dtype=bool)
+        seen[rows[inside], columns[inside]] = True
+        nearest = -camera.to_camera(self._points)[:, 2].max()
+        reach = 1 + int(np.ceil(self._edge * camera.fl_x / nearest))
+        return np.flatnonzero(maximum_filter(seen, size=2 * reach + 1)).astype(np.uint32)
 
 
 def _mesh(name: str, layer: Layer) -> mi.Mesh:
@@ -83,11 +94,6 @@ def _mesh(name: str, layer: Layer) -> mi.Mesh:
     return mesh
 
 
-def _crop(camera: Camera, points: np.ndarray) -> tuple[int, int, int, int]:
-    """left, top, width and height of the pixels around the projected points, within the image."""
-    pixels = camera.project(points)
-    size = np.array([camera.w, camera.h])
-    low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - _MARGIN, 0, size - 1)
-    high = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN, low + 1, size)
-    (left, top), (width, height) = low, high - low
-    return int(left), int(top), int(width), int(height)
+def _longest_edge(vertices: np.ndarray, faces: np.ndarray) -> float:
+    corners = vertices[faces]
+    return float(np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=-1).max()))

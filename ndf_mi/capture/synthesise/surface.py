@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -87,6 +88,13 @@ def clip(faces: np.ndarray, values: np.ndarray) -> tuple[sparse.csr_matrix, np.n
     used, renumbered = np.unique(cut_faces, return_inverse=True)
     matrix = sparse.vstack([sparse.eye(count, format="csr"), at_cut], format="csr")[used]
     return matrix, renumbered.reshape(-1, 3)
+
+
+def rim_distance(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V,) straight distance, metres, to the nearest vertex of the mesh's boundary; infinite for a closed mesh."""
+    edges, face_edges = edges_of(faces)
+    rim = np.unique(edges[np.bincount(face_edges.ravel(), minlength=len(edges)) == 1])
+    return cKDTree(vertices[rim]).query(vertices)[0] if len(rim) else np.full(len(vertices), np.inf)
 
 
 def averaging(faces: np.ndarray, count: int) -> sparse.csr_matrix:

@@ -47,7 +47,7 @@ def synthesise(
         out: a folder that is new, empty, or holds such an unfinished capture.
         settings: what to make.
         name: the capture's name.
-        overwrite: replaces another capture that is in ``out``; never anything else.
+        overwrite: makes anew what is in ``out`` where that is a capture; never replaces anything else.
         progress: called with the numbers of images done and to do, first with those that are there already.
 
     Returns:
@@ -109,7 +109,7 @@ def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
     if foreign or not (has_settings or (out / FILE_NAME).is_file()):
         names = foreign or sorted(p.name for p in out.iterdir())
         raise InputError(out, f"a folder that holds other things ({', '.join(names[:4])})", "a new or empty folder")
-    if _same_settings(out, made_with):
+    if _same_settings(out, made_with) and not overwrite:
         return
     if not overwrite:
         raise InputError(

