@@ -57,7 +57,9 @@ def line_chart(
     FigureCanvasSVG(figure)
     axes = figure.add_subplot()
     for index, (label, x, y) in enumerate(series):
-        axes.plot(x, y, label=label, linewidth=1.6, color=("#3b82c4", "#d97a2b", "#7a9a3a")[index % 3])
+        # A point alone has no line.
+        marker = "o" if len(x) < 3 else None
+        axes.plot(x, y, label=label, linewidth=1.6, marker=marker, color=("#3b82c4", "#d97a2b", "#7a9a3a")[index % 3])
     axes.set_xlabel(x_label, color=_INK)
     axes.set_ylabel(y_label, color=_INK)
     axes.set_title(title, color=_INK, fontsize=10, loc="left")

@@ -89,7 +89,7 @@ def _cards(results: Results) -> str:
         ahead = []
         for other in others:
             gain = tables.difference(first.mean(split, "box_psnr"), other.mean(split, "box_psnr"))
-            ahead.append(f"<li>{tables.signed('box_psnr', gain)} dB against {escape(_lower(other.label))}</li>")
+            ahead.append(f"<li>{tables.signed('box_psnr', gain)} dB against {escape(tables.lower(other.label))}</li>")
         value = tables.figure("box_psnr", first.mean(split, "box_psnr"))
         cards.append(
             f'<div class="card"><h2>{escape(first.label)}, {SPLIT_LABELS[split]}</h2>'
@@ -200,10 +200,6 @@ def _settings(values: Mapping[str, object]) -> str:
         return f"{value:.4g}" if isinstance(value, float) else str(value)
 
     return escape(", ".join(f"{key.replace('_', ' ')} {text(value)}" for key, value in values.items()))
-
-
-def _lower(label: str) -> str:
-    return label[:1].lower() + label[1:]
 
 
 def command_line(arguments: Sequence[str]) -> str:

@@ -18,6 +18,8 @@ from ndf_mi.compare.results import Results, View
 ROWS = {"novel_view": 4, "novel_pose": 4, "train": 1}
 #: Pixels kept around the body's box.
 _MARGIN = 2
+#: Width over height up to which a picture leaves room for the error maps beside it.
+_NARROW = 0.8
 
 
 @dataclass(frozen=True)
@@ -66,22 +68,34 @@ def _load(results: Results, capture: Capture, pictures: Path, view: View) -> _Sh
 
 
 def _row(results: Results, shown: _Shown, top: float) -> str:
+    """Truth and images beside each other; the error maps to their right if the pictures are narrow, else below."""
     view = shown.view
-    count = len(results.methods) + 1
-    cells = ['<div class="head">Truth</div>']
-    cells += [f'<div class="head">{escape(method.label)}</div>' for method in results.methods]
-    cells.append(_figure(data_uri(shown.truth), "truth", ""))
+    height, width = shown.truth.shape[:2]
+    narrow = width <= _NARROW * height
+    labels = [method.label for method in results.methods]
+    images = [_figure(data_uri(shown.truth), "truth", f"camera {view.camera}, frame {view.frame}")]
     for method, image in zip(results.methods, shown.images, strict=True):
         measured = method.find(view)
         text = tables.figure("box_psnr", measured.figures["box_psnr"]) if measured else "–"
-        cells.append(_figure(data_uri(image), method.label, f"{text} dB"))
-    cells.append(f'<div class="view">camera {escape(view.camera)}<br>frame {view.frame}</div>')
-    for method, error in zip(results.methods, shown.errors, strict=True):
-        cells.append(_figure(data_uri(error_map(error, top)), f"error of {method.label}", f"mean {error.mean():.3f}"))
-    # Wide pictures may use the page's width; tall ones shouldn't fill the screen.
-    width = min(100, 20 * count * max(1.0, shown.truth.shape[1] / shown.truth.shape[0]))
-    style = f"grid-template-columns: repeat({count}, 1fr); max-width: {width:.0f}%"
-    return f'<div class="row" style="{style}">{"".join(cells)}</div>'
+        images.append(_figure(data_uri(image), method.label, f"{text} dB"))
+    errors = [
+        _figure(data_uri(error_map(error, top)), f"error of {tables.lower(label)}", f"mean {error.mean():.3f}")
+        for label, error in zip(labels, shown.errors, strict=True)
+    ]
+    heads = [_head(text) for text in ("Truth", *labels)]
+    error_heads = [_head(f"Error of {tables.lower(text)}") for text in labels]
+    if narrow:
+        cells = heads + error_heads + images + errors
+        return _grid(len(images) + len(errors), cells)
+    return _grid(len(images), heads + images + [_head("")] + error_heads + ["<div></div>"] + errors)
+
+
+def _grid(columns: int, cells: list[str]) -> str:
+    return f'<div class="row" style="grid-template-columns: repeat({columns}, 1fr)">{"".join(cells)}</div>'
+
+
+def _head(text: str) -> str:
+    return f'<div class="head">{escape(text)}</div>'
 
 
 def _figure(source: str, description: str, caption: str) -> str:

@@ -35,14 +35,13 @@ table.facts th { text-align: left; padding-left: 0; vertical-align: top; font-si
 .row { display: grid; gap: .4rem .6rem; margin: 1rem 0 2rem; align-items: start; }
 .row figure { margin: 0; }
 .row img { width: 100%; display: block; border-radius: 3px; background: var(--shade); }
-.row .head { font-size: .88rem; font-weight: 500; }
-.row figcaption { font-size: .82rem; font-variant-numeric: tabular-nums; padding-top: .15rem; }
-.row .view { font-size: .85rem; color: var(--soft); align-self: end; padding-bottom: .2rem; }
+.row .head { font-size: .8rem; line-height: 1.3; font-weight: 500; align-self: end; }
+.row figcaption { font-size: .8rem; line-height: 1.3; font-variant-numeric: tabular-nums; padding-top: .15rem; }
 .scale { display: flex; align-items: center; gap: .6rem; font-size: .85rem; color: var(--soft); margin: .8rem 0; }
 .scale .bar { width: 12rem; height: .7rem; border-radius: 2px; }
 .charts { display: grid; grid-template-columns: repeat(auto-fit, minmax(20rem, 1fr)); gap: 1rem; }
 .charts svg { width: 100%; height: auto; }
 code, pre { font-family: ui-monospace, "DejaVu Sans Mono", Menlo, Consolas, monospace; font-size: .85rem; }
-pre { background: var(--shade); padding: .8rem 1rem; border-radius: .4rem; overflow-x: auto; }
+pre { margin: 0; background: var(--shade); padding: .8rem 1rem; border-radius: .4rem; overflow-x: auto; }
 @media print { body { max-width: none; padding: 0; } .row { break-inside: avoid; } }
 """

@@ -91,6 +91,11 @@ def mesh_note(method: MethodResult) -> str:
     return f"{method.label}: {how}, {facts['steps']} steps, learning rate {facts['rate']:g}."
 
 
+def lower(label: str) -> str:
+    """A label inside a sentence: “Mesh, equal time” → “mesh, equal time”; abbreviations stay."""
+    return label if label[:2].isupper() else label[:1].lower() + label[1:]
+
+
 def _cell(key: str, column: list[float | None], index: int) -> Cell:
     defined = [value for value in column if value is not None]
     best = (max if metrics.HIGHER_IS_BETTER[key] else min)(defined, default=None)
