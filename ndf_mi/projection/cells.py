@@ -1,51 +1,105 @@
-"""A coarse grid over the band's box: which cells the band can touch, and a leaf to begin each cell's searches with."""
+"""A coarse grid over the band's box: which cells the band can touch, and where in the tree a cell's searches begin."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-Search = Callable[[mi.Point3f, "mi.UInt32 | None", "float | mi.Float", mi.Bool], mi.UInt32]
+from ndf_mi.projection.refit import Frame
+from ndf_mi.projection.search import Boxes, closest_pair, pending
+
+BLOCK = 4
+"""Cells along the side of a block. Cells are numbered block by block, so that close numbers are close in space."""
+
+SLACK = 0.2
+"""Cells need not begin at the closest leaf: how much farther, as a fraction, than it is allowed."""
 
 
 class Cells:
     """Cells of a quarter of the band over the box [low, high].
 
-    A cell is outside when its centre is farther from the surface than the band and half the cell's diagonal. Every
-    other cell knows the leaf of its centre's closest triangle: a search that begins there has a bound to prune with
-    that is exact but for the cell's size.
+    Every cell that a point of the band can lie in knows a leaf that is almost the closest to its centre, and which parts of the
+    tree can hold a closer one for any point of the cell (:func:`ndf_mi.projection.search.pending`): searches begin with
+    a good bound, and skip what the cell rules out.
 
     Args:
-        low, high: (3,) float64, the padded box of the band.
+        low, high: (3,) float64, the padded box of the band, metres.
         band: δ, metres.
-        search: closest triangle within a radius, 2 · leaf + (0 or 1), or 2 · ``none`` without one.
-        none: the number that stands for no leaf.
+        frame, boxes: the tree to search.
+
+    Attributes:
+        count: cells in the blocks that the band can touch; the box has at least one such block.
     """
 
-    def __init__(self, low: np.ndarray, high: np.ndarray, band: float, search: Search, none: int) -> None:
-        side = max(0.25 * band, float((high - low).max()) / 255)
-        counts = np.maximum(np.ceil((high - low) / side), 1).astype(np.int64)
+    def __init__(self, low: np.ndarray, high: np.ndarray, band: float, frame: Frame, boxes: Boxes) -> None:
+        side = max(0.25 * band, float((high - low).max()) / 256)
+        blocks = np.ceil((high - low) / (BLOCK * side)).astype(np.int64)
         self._low = mi.Point3f(*(dr.opaque(mi.Float, float(c)) for c in low))
         self._per_metre = dr.opaque(mi.Float, 1 / side)
-        self._counts = mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in counts))
-        index = dr.arange(mi.UInt32, int(counts.prod()))
-        nx, ny = dr.opaque(mi.UInt32, int(counts[0])), dr.opaque(mi.UInt32, int(counts[1]))
-        row = index // nx
-        cell = mi.Point3f(mi.Float(index - row * nx), mi.Float(row % ny), mi.Float(row // ny))
-        centre = self._low + (cell + 0.5) / self._per_metre
-        radius = dr.opaque(mi.Float, band + 0.5 * np.sqrt(3) * side * (1 + 1e-3))
-        self._none = dr.opaque(mi.UInt32, none)
-        self._leaf = search(centre, None, radius, mi.Bool(True)) // 2
-        dr.eval(self._leaf)
+        self._blocks = mi.Vector3u(*(dr.opaque(mi.UInt32, int(c)) for c in blocks))
 
-    def seed(self, x: mi.Point3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """The leaf to begin with, and the active lanes whose cell the band can touch."""
+        block = dr.arange(mi.UInt32, int(blocks.prod()))
+        centre = BLOCK * self._block_corner(block) + 0.5 * BLOCK
+        root = dr.full(mi.UInt32, 1, len(block))
+        node, trail = self._begin(centre, 0.5 * BLOCK, band, frame, boxes, root, mi.UInt32(0))
+        dr.eval(node, trail)
+
+        touched = dr.compress(node != 0)
+        self._rank = dr.zeros(mi.UInt32, len(block))
+        dr.scatter(self._rank, dr.arange(mi.UInt32, len(touched)) + 1, touched)
+        self.count = len(touched) * BLOCK**3
+        index = dr.arange(mi.UInt32, self.count)
+        local, block = index % BLOCK**3, dr.gather(mi.UInt32, touched, index // BLOCK**3)
+        within = mi.Point3f(mi.Point3u(local % BLOCK, local // BLOCK % BLOCK, local // BLOCK**2))
+        begin = dr.gather(mi.UInt32, node, block), dr.gather(mi.UInt32, trail, block)
+        centre = BLOCK * self._block_corner(block) + within + 0.5
+        self._node, self._trail = self._begin(centre, 0.5, band, frame, boxes, *begin)
+        dr.eval(self._rank, self._node, self._trail)
+
+    def locate(self, x: mi.Point3f) -> tuple[mi.UInt32, mi.Bool]:
+        """The number of the cell of x, below ``count``; and whether there is one, as blocks off the band have none."""
         at = (x - self._low) * self._per_metre
-        active = active & dr.all((at >= 0) & (at < self._counts))
-        cell = mi.Point3u(dr.select(active, at, 0))
-        nx, ny = mi.UInt32(self._counts.x), mi.UInt32(self._counts.y)
-        leaf = dr.gather(mi.UInt32, self._leaf, cell.x + nx * (cell.y + ny * cell.z), active)
-        return leaf, active & (leaf < self._none)
+        inside = dr.all((at >= 0) & (at < BLOCK * mi.Vector3f(self._blocks)))
+        cell = mi.Point3u(dr.select(inside, at, 0))
+        block, local = cell // BLOCK, cell % BLOCK
+        number = block.x + self._blocks.x * (block.y + self._blocks.y * block.z)
+        rank = dr.gather(mi.UInt32, self._rank, number, inside)
+        inside &= rank != 0
+        return (rank - 1) * BLOCK**3 + local.x + BLOCK * (local.y + BLOCK * local.z), inside
+
+    def start(self, cell: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
+        """Node and trail with which a search from the cell begins; node 0 where the band does not touch the cell."""
+        return dr.gather(mi.UInt32, self._node, cell, active), dr.gather(mi.UInt32, self._trail, cell, active)
+
+    def near(self, x: mi.Point3f) -> mi.Bool:
+        """Whether the band can touch the cell of x."""
+        cell, inside = self.locate(x)
+        return dr.gather(mi.UInt32, self._node, cell, inside) != 0
+
+    def _block_corner(self, block: mi.UInt32) -> mi.Point3f:
+        row = block // self._blocks.x
+        return mi.Point3f(mi.Point3u(block - row * self._blocks.x, row % self._blocks.y, row // self._blocks.y))
+
+    def _begin(
+        self,
+        centre: mi.Point3f,
+        half: float,
+        band: float,
+        frame: Frame,
+        boxes: Boxes,
+        node: mi.UInt32,
+        trail: mi.UInt32,
+    ) -> tuple[mi.UInt32, mi.UInt32]:
+        """Where the searches from cubes begin, given in cells: their centres and half their side."""
+        q = frame.to_units(self._low + centre / self._per_metre)
+        reach = half * (1 + 1e-3) / self._per_metre * frame.scale
+        corner = np.sqrt(3) * reach
+        band_units = dr.opaque(mi.Float, band * (1 + 1e-3)) * frame.scale
+        farthest = (1 + SLACK) * (band_units + corner)
+        best2, found = closest_pair(boxes, q, farthest * farthest, node, trail, SLACK)
+        touched = found < 2 * boxes.leaves
+        leaf = dr.select(touched, found // 2, 0)
+        bound = dr.minimum(dr.sqrt(best2) + corner, band_units)
+        trail = pending(boxes, q, reach, leaf, bound)
+        return dr.select(touched, leaf + boxes.leaves, 0), dr.select(touched, trail, 0)

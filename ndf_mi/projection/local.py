@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-
 FACE, EDGE_0, EDGE_1, EDGE_2, CORNER_0, CORNER_1, CORNER_2 = range(7)
 """The part of a triangle that the closest point lies on; edge k runs from corner k to corner k + 1."""
 

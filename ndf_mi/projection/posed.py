@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from ndf_mi.projection.surface import Surface
 
 
+SORTED = 4096
+"""Number of queries from which sorting them pays."""
+
+
 @dataclass
 class Projection:
     """P_θ(x) = (u*, v*, l*) and what belongs to it; finite in every lane, and 0 triangles away meaningless if not valid.
@@ -72,17 +76,18 @@ class PosedSurface:
                 raise InputError("vertices", "NaN or infinity", "finite coordinates, in metres")
             low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
             pad = self.band + 1e-3 * self.band + 1e-6 * float(np.abs(positions).max())
+            self._reach = dr.opaque(mi.Float, self.band * (1 + 1e-4))
             self.bbox = mi.BoundingBox3f(mi.Point3f(*(low - pad).tolist()), mi.Point3f(*(high + pad).tolist()))
             self._frame = Frame(low, high)
-            self._nodes, self._corners = refit(surface, detached, self._frame)
+            self._boxes = refit(surface, detached, self._frame)
             self._face_normals = face_normals(surface, detached)
             self._vertex_normals = vertex_normals(surface, detached, self._face_normals)
-            self._cells = Cells(low - pad, high + pad, self.band, self._search, surface.leaves)
+            self._cells = Cells(low - pad, high + pad, self.band, self._frame, self._boxes)
 
     def near(self, x: mi.Point3f) -> mi.Bool:
         """False only where |l| > band for certain; reads one cell."""
         with dr.suspend_grad():
-            return self._cells.seed(dr.detach(x), mi.Bool(True))[1]
+            return self._cells.near(dr.detach(x))
 
     def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> mi.UInt32:
         """Number of the closest triangle, detached; 0 in lanes that are inactive or farther away than the band."""
@@ -131,9 +136,7 @@ class PosedSurface:
         edge = dr.select(on_edge, feature - EDGE_0, 0)
         across = dr.gather(mi.UInt32, self.surface.neighbours, 3 * triangle + edge, active & on_edge)
         other = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, across, active & on_edge))
-        vertex = dr.select(
-            feature == CORNER_0, corner[0], dr.select(feature == CORNER_1, corner[1], corner[2])
-        )
+        vertex = dr.select(feature == CORNER_0, corner[0], dr.select(feature == CORNER_1, corner[1], corner[2]))
         around = mi.Vector3f(dr.gather(mi.Point3f, self._vertex_normals, vertex, active & on_corner))
         normal = dr.select(on_edge, unit(own + other, own), dr.select(on_corner, around, own))
         distance = dr.norm(offset)
@@ -142,17 +145,39 @@ class PosedSurface:
         return normal, sign * distance, slope
 
     def _closest(self, x: mi.Point3f, active: mi.Bool | bool) -> tuple[mi.UInt32, mi.Bool]:
-        surface = self.surface
+        """The closest triangle, 0 where there is none; and whether there is one."""
         with dr.suspend_grad():
             x = dr.detach(x)
-            seed, active = self._cells.seed(x, mi.Bool(active))
-            found = self._search(x, seed, self.band, active)
-            hit = active & (found < 2 * surface.leaves)
-            return dr.gather(mi.UInt32, surface.leaf_triangles, found, hit), hit
+            cell, inside = self._cells.locate(x)
+            active = mi.Bool(active) & inside
+            if dr.flag(dr.JitFlag.SymbolicScope) or dr.width(x) < SORTED:
+                found = self._search(x, cell, active)
+            else:
+                found = self._search_sorted(x, cell, active)
+            hit = found < 2 * self.surface.leaves
+            return dr.gather(mi.UInt32, self.surface.leaf_triangles, found, hit), hit
 
-    def _search(self, x: mi.Point3f, seed: mi.UInt32 | None, radius: float | mi.Float, active: mi.Bool) -> mi.UInt32:
-        """Number 2 · leaf + (0 or 1) of the closest triangle within the radius, 2 · leaves where there is none."""
-        frame = self._frame
-        bound = mi.Float(radius) * frame.scale * (1 + 1e-4)
-        q = frame.to_units(dr.select(active, x, 0))
-        return closest_pair(self._nodes, self._corners, self.surface.leaves, q, bound * bound, seed, active)[1]
+    def _search(self, x: mi.Point3f, cell: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Number 2 · leaf + (0 or 1) of the closest triangle in the band, 2 · leaves where there is none."""
+        bound = dr.square(self._reach * self._frame.scale)
+        node, trail = self._cells.start(cell, active)
+        return closest_pair(self._boxes, self._frame.to_units(x), bound, node, trail)[1]
+
+    def _search_sorted(self, x: mi.Point3f, cell: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """As :meth:`_search`, one cell's queries after the other's: neighbouring lanes then walk the same nodes.
+
+        A counting sort. Its order within a cell is undefined; results do not depend on it.
+        """
+        count = dr.width(x)
+        histogram = dr.zeros(mi.UInt32, self._cells.count)
+        rank = dr.scatter_inc(histogram, cell, active)
+        dr.eval(rank, cell, active, x)
+        begin = dr.prefix_sum(histogram)
+        nobody = 0xFFFFFFFF
+        order = dr.full(mi.UInt32, nobody, count)
+        dr.scatter(order, dr.arange(mi.UInt32, count), dr.gather(mi.UInt32, begin, cell, active) + rank, active)
+        some = order != nobody
+        found = self._search(dr.gather(mi.Point3f, x, order, some), dr.gather(mi.UInt32, cell, order, some), some)
+        result = dr.full(mi.UInt32, 2 * self.surface.leaves, count)
+        dr.scatter(result, found, order, some)
+        return result

@@ -8,10 +8,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ndf_mi.projection.search import UNITS, WORDS
+from ndf_mi.projection.search import WORDS, Boxes
 
 if TYPE_CHECKING:
     from ndf_mi.projection.surface import Surface
+
+
+UNITS = 65535
+"""Units along the longest side of the posed mesh's box."""
+
+
+HEIGHT = 3
+"""Levels of the tree that one kernel does."""
 
 
 class Frame:
@@ -30,8 +38,8 @@ class Frame:
         return mi.Point3f((x - self.origin) * self.scale)
 
 
-def refit(surface: Surface, vertices: mi.Float, frame: Frame) -> tuple[mi.UInt32, mi.Float]:
-    """Boxes of all nodes and coordinates of all leaves, as :func:`ndf_mi.projection.search.closest_pair` reads them."""
+def refit(surface: Surface, vertices: mi.Float, frame: Frame) -> Boxes:
+    """Boxes of all nodes and coordinates of all leaves, for the search."""
     leaves = surface.leaves
     leaf = dr.arange(mi.UInt32, leaves)
     corners = dr.empty(mi.Float, 12 * leaves)
@@ -44,19 +52,35 @@ def refit(surface: Surface, vertices: mi.Float, frame: Frame) -> tuple[mi.UInt32
     low = dr.select(surface.leaf_occupied, dr.clip(dr.floor(low), 0, UNITS), UNITS)
     high = dr.select(surface.leaf_occupied, dr.clip(dr.ceil(high), 0, UNITS), 0)
     words = [mi.UInt32(low[k]) | (mi.UInt32(high[k]) << 16) for k in range(3)]
-    dr.eval(corners, words)
-
     nodes = dr.zeros(mi.UInt32, WORDS * leaves)
-    for level in reversed(range(surface.depth)):
-        count = 1 << level
-        node = dr.arange(mi.UInt32, count)
-        above = []
-        for k in range(3):
-            left, right = dr.gather(mi.UInt32, words[k], 2 * node), dr.gather(mi.UInt32, words[k], 2 * node + 1)
-            dr.scatter(nodes, left, (node + count) * WORDS + k)
-            dr.scatter(nodes, right, (node + count) * WORDS + 3 + k)
-            lower = dr.minimum(left & 0xFFFF, right & 0xFFFF)
-            above.append(lower | dr.maximum(left & 0xFFFF0000, right & 0xFFFF0000))
-        words = above
+    dr.eval(corners, words, nodes)
+    level = surface.depth
+    while level > 0:
+        height = min(level, HEIGHT)
+        words = _merge(nodes, words, dr.opaque(mi.UInt32, 1 << (level - height)), height)
+        level -= height
         dr.eval(nodes, words)
-    return nodes, corners
+    return Boxes(nodes, corners, surface.depth)
+
+
+def _merge(nodes: mi.UInt32, words: list[mi.UInt32], first: mi.UInt32, height: int) -> list[mi.UInt32]:
+    """Writes the nodes of ``height`` levels, given the boxes of the level below; returns the boxes of the highest.
+
+    Each lane does one node of the highest level, whose first node is ``first``, and what lies below it.
+    """
+    lane = dr.arange(mi.UInt32, dr.width(words[0]) >> height)
+    below = [[dr.gather(mi.UInt32, w, (lane << height) + i) for w in words] for i in range(1 << height)]
+    for up in range(height - 1, -1, -1):
+        merged = []
+        for i in range(1 << up):
+            left, right = below[2 * i], below[2 * i + 1]
+            node = ((first + lane) << up) + i
+            dr.scatter(nodes, mi.Vector4u(*left, right[0]), 2 * node)
+            dr.scatter(nodes, mi.Vector4u(*right[1:], 0, 0), 2 * node + 1)
+            merged.append([_union(a, b) for a, b in zip(left, right, strict=True)])
+        below = merged
+    return below[0]
+
+
+def _union(a: mi.UInt32, b: mi.UInt32) -> mi.UInt32:
+    return dr.minimum(a & 0xFFFF, b & 0xFFFF) | dr.maximum(a & 0xFFFF0000, b & 0xFFFF0000)

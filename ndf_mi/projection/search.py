@@ -1,33 +1,72 @@
 """The search for the closest triangle: a complete binary tree walked without a stack, in evaluated and symbolic code alike.
 
-Lengths are in the tree's own units (see :class:`ndf_mi.projection.surface.PosedSurface`): 65535 along the longest side
-of the mesh's box. Nothing here is differentiated.
+Lengths are in the tree's own units (:class:`ndf_mi.projection.refit.Frame`). Nothing here is differentiated.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 
-UNITS = 65535
-WORDS = 6
-"""Words of an internal node: for its two children, three words of (upper bound << 16) | lower bound, one an axis."""
+WORDS = 8
+"""Words of an internal node: for its two children, three words of (upper bound << 16) | lower bound, one an axis; two
+stay empty, as aligned words are read four at once."""
 
 
-def box_distance2(words: list[mi.UInt32], q: mi.Point3f) -> mi.Float:
-    """Squared distance from ``q`` to the box in three words."""
+@dataclass(frozen=True)
+class Boxes:
+    """The tree in one pose.
+
+    Attributes:
+        nodes: (leaves * 8) words; those of node n, root 1, children 2n and 2n + 1, from 8 n on.
+        corners: (leaves * 12) coordinates of the leaves' vertices a, b, c, d for triangles (a, b, c) and (a, c, d).
+        depth: leaf i is node ``leaves + i`` with ``leaves = 2 ** depth``.
+    """
+
+    nodes: mi.UInt32
+    corners: mi.Float
+    depth: int
+
+    @property
+    def leaves(self) -> int:
+        return 1 << self.depth
+
+    def children(self, node: mi.UInt32) -> tuple[list[mi.UInt32], list[mi.UInt32]]:
+        """The boxes of the children of an internal node, three words each."""
+        words = _read4(self.nodes, 2 * node) + _read4(self.nodes, 2 * node + 1)
+        return words[:3], words[3:6]
+
+
+def _read4(array: mi.Float | mi.UInt32, index: mi.UInt32) -> list[mi.Float]:
+    """Four adjacent values, the first at 4 · index, by one packet load."""
+    return list(dr.gather(mi.Vector4f if isinstance(array, mi.Float) else mi.Vector4u, array, index))
+
+
+def larger(a: mi.Float, b: mi.Float | float) -> mi.Float:
+    """The larger of two numbers; one instruction, where ``dr.maximum`` spends several on NaN."""
+    return dr.select(a > b, a, b)
+
+
+def smaller(a: mi.Float, b: mi.Float | float) -> mi.Float:
+    """The smaller of two numbers, as :func:`larger`."""
+    return dr.select(a < b, a, b)
+
+
+def box_distance2(words: list[mi.UInt32], q: mi.Point3f, reach: mi.Float | float = 0) -> mi.Float:
+    """Squared distance from a cube about ``q``, of half side ``reach``, to the box in three words."""
     total = mi.Float(0)
     for word, x in zip(words, q, strict=True):
-        outside = dr.maximum(dr.maximum(mi.Float(word & 0xFFFF) - x, x - mi.Float(word >> 16)), 0)
+        outside = larger(mi.Float(word & 0xFFFF) - x, x - mi.Float(word >> 16))
+        outside = larger(outside - reach, 0)
         total = dr.fma(outside, outside, total)
     return total
 
 
 def _segment(q: mi.Vector3f, edge: mi.Vector3f, along: mi.Float, length2: mi.Float) -> mi.Float:
     """Squared distance from ``q`` to the segment from 0 to ``edge``, where ``along`` is their dot product."""
-    t = dr.clip(along / dr.maximum(length2, 1e-20), 0, 1)
+    t = smaller(larger(along * dr.rcp(larger(length2, 1e-20)), 0), 1)
     return dr.squared_norm(q - edge * t)
 
 
@@ -35,92 +74,100 @@ def pair_distance2(corners: list[mi.Float], q: mi.Point3f) -> tuple[mi.Float, mi
     """Squared distances from ``q`` to the triangles (a, b, c) and (a, c, d), whose 12 coordinates are ``corners``."""
     a, b, c, d = (mi.Vector3f(*corners[3 * i : 3 * i + 3]) for i in range(4))
     q, b, c, d = mi.Vector3f(q) - a, b - a, c - a, d - a
-    qb, qc, qd = dr.dot(q, b), dr.dot(q, c), dr.dot(q, d)
-    bb, cc, dd = dr.dot(b, b), dr.dot(c, c), dr.dot(d, d)
-    bc, cd = dr.dot(b, c), dr.dot(c, d)
+    qc, cc = dr.dot(q, c), dr.dot(c, c)
     diagonal = _segment(q, c, qc, cc)
 
-    def triangle(e: mi.Vector3f, qe: mi.Float, ee: mi.Float, ec: mi.Float) -> mi.Float:
+    def triangle(e: mi.Vector3f) -> mi.Float:
+        qe, ee, ec = dr.dot(q, e), dr.dot(e, e), dr.dot(e, c)
         s, t, area2 = qe * cc - qc * ec, qc * ee - qe * ec, ee * cc - ec * ec
-        rest = c - e
-        border = dr.minimum(
-            dr.minimum(diagonal, _segment(q, e, qe, ee)), _segment(q - e, rest, qc - qe - ec + ee, cc - 2 * ec + ee)
-        )
-        # a sliver's area is rounding; its border alone then gives the distance
+        third = _segment(q - e, c - e, qc - qe - ec + ee, cc - 2 * ec + ee)
+        border = smaller(smaller(diagonal, _segment(q, e, qe, ee)), third)
+        # the area of a sliver is rounding; its border alone then gives the distance
         inside = (s >= 0) & (t >= 0) & (s + t <= area2) & (area2 > 1e-6 * ee * cc)
-        scale = 1 / dr.select(inside, area2, 1)
+        scale = dr.rcp(dr.select(inside, area2, 1))
         return dr.select(inside, dr.squared_norm(q - e * (s * scale) - c * (t * scale)), border)
 
-    return triangle(b, qb, bb, bc), triangle(d, qd, dd, cd)
+    return triangle(b), triangle(d)
+
+
+def _test_leaf(
+    boxes: Boxes, q: mi.Point3f, leaf: mi.UInt32, best: mi.Float, found: mi.UInt32
+) -> tuple[mi.Float, mi.UInt32]:
+    corners = [value for k in range(3) for value in _read4(boxes.corners, leaf * 3 + k)]
+    for k, distance2 in enumerate(pair_distance2(corners, q)):
+        better = distance2 < best
+        best, found = dr.select(better, distance2, best), dr.select(better, 2 * leaf + k, found)
+    return best, found
+
+
+def _pop(node: mi.UInt32, trail: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+    """The sibling of the lowest ancestor that has one pending; node 0 where none has."""
+    done = trail == 0
+    up = dr.select(done, 0, dr.tzcnt(trail))
+    return dr.select(done, 0, (node >> up) ^ 1), dr.select(done, 0, (trail >> up) ^ 1)
 
 
 def closest_pair(
-    nodes: mi.UInt32,
-    corners: mi.Float,
-    leaves: int,
-    q: mi.Point3f,
-    bound2: mi.Float,
-    seed: mi.UInt32 | None,
-    active: mi.Bool,
+    boxes: Boxes, q: mi.Point3f, bound2: mi.Float, node: mi.UInt32, trail: mi.UInt32, slack: float = 0
 ) -> tuple[mi.Float, mi.UInt32]:
-    """Walks the tree nearest child first; pending siblings are bits of one word, as the tree is complete.
+    """Walks the tree from ``node``, nearest child first; pending siblings are bits of one word, as the tree is complete.
 
     After Áfra and Szirmay-Kalos, "Stackless Multi-BVH Traversal for CPU, MIC and GPU Ray Tracing" (2014), for distances.
 
     Args:
-        nodes: (leaves * 6) words: the boxes of the children of node n from 6 n on.
-        corners: (leaves * 12) coordinates of the leaves' pairs.
-        leaves: their number, a power of two.
+        boxes: the tree.
         q: the queries.
         bound2: squared distance beyond which nothing is looked for.
-        seed: a leaf to test before the others, in active lanes; the better it is, the less is walked.
-        active: lanes that search.
+        node: where to begin, 0 in lanes without a query: the root, or a leaf that is likely to be close, which is tested
+            first, to go up from there.
+        trail: bit i is set where the sibling of ``node >> i`` is to be visited as well.
+        slack: s > 0 allows a triangle up to 1 + s times as far as the closest one, and beyond the bound over 1 + s none.
 
     Returns:
         the squared distance of the best triangle, or ``bound2`` where there is none within; and its number 2 · leaf +
         (0 or 1), or 2 · leaves where there is none.
     """
+    leaves = boxes.leaves
 
-    def test(node: mi.UInt32, best: mi.Float, found: mi.UInt32, at_leaf: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
-        leaf = node & (leaves - 1)
-        values = [dr.gather(mi.Float, corners, leaf * 12 + k, at_leaf) for k in range(12)]
-        for k, d2 in enumerate(pair_distance2(values, q)):
-            better = at_leaf & (d2 < best)
-            best = dr.select(better, d2, best)
-            found = dr.select(better, 2 * leaf + k, found)
-        return best, found
-
-    def pop(node: mi.UInt32, trail: mi.UInt32, mask: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
-        done = trail == 0
-        up = dr.select(done, 0, dr.tzcnt(trail))
-        return (
-            dr.select(mask, dr.select(done, 0, (node >> up) ^ 1), node),
-            dr.select(mask, dr.select(done, 0, (trail >> up) ^ 1), trail),
-        )
-
-    def descend(node: Any, trail: Any, best: Any, found: Any) -> tuple[Any, Any, Any, Any]:
-        words = [dr.gather(mi.UInt32, nodes, node * WORDS + k) for k in range(WORDS)]
-        left, right = box_distance2(words[:3], q), box_distance2(words[3:], q)
-        near_right = right < left
-        nearest, farthest = dr.minimum(left, right), dr.maximum(left, right)
-        hit, both = nearest < best, farthest < best
-        below = 2 * node + dr.select(near_right, 1, 0)
-        trail = dr.select(hit, 2 * trail + dr.select(both, 1, 0), trail)
-        node, trail = pop(dr.select(hit, below, node), trail, ~hit)
+    def leaf(
+        node: mi.UInt32, trail: mi.UInt32, best: mi.Float, found: mi.UInt32
+    ) -> tuple[mi.UInt32, mi.UInt32, mi.Float, mi.UInt32]:
+        best, found = _test_leaf(boxes, q, node - leaves, best, found)
+        node, trail = _pop(node, trail)
         return node, trail, best, found
 
-    def step(node: Any, trail: Any, best: Any, found: Any) -> tuple[Any, Any, Any, Any]:
-        node, trail, best, found = dr.while_loop(
-            (node, trail, best, found), lambda n, *_: (n != 0) & (n < leaves), descend, label="closest: descend"
+    def step(
+        node: mi.UInt32, trail: mi.UInt32, best: mi.Float, found: mi.UInt32
+    ) -> tuple[mi.UInt32, mi.UInt32, mi.Float, mi.UInt32]:
+        node, trail, best, found = dr.if_stmt(
+            (node, trail, best, found), node >= leaves, leaf, lambda *state: state, label="closest: leaf"
         )
-        at_leaf = node >= leaves
-        best, found = test(node, best, found, at_leaf)
-        node, trail = pop(node, trail, at_leaf)
-        return node, trail, best, found
+        inner = (node != 0) & (node < leaves)
+        left, right = (
+            box_distance2(words, q) * (1 + slack) ** 2 for words in boxes.children(dr.select(inner, node, 1))
+        )
+        hit, both = inner & (smaller(left, right) < best), inner & (larger(left, right) < best)
+        below = 2 * node + dr.select(right < left, 1, 0)
+        node, trail = dr.select(hit, below, node), dr.select(hit, 2 * trail + dr.select(both, 1, 0), trail)
+        popped = _pop(node, trail)
+        miss = inner & ~hit
+        return dr.select(miss, popped[0], node), dr.select(miss, popped[1], trail), best, found
 
-    best, found = mi.Float(bound2), mi.UInt32(2 * leaves)
-    if seed is not None:
-        best, found = test(seed, best, found, active)
-    start = dr.select(active, mi.UInt32(1), mi.UInt32(0))
-    _, _, best, found = dr.while_loop((start, mi.UInt32(0), best, found), lambda n, *_: n != 0, step, label="closest")
+    state = (node, trail, mi.Float(bound2), dr.full(mi.UInt32, 2 * leaves))
+    _, _, best, found = dr.while_loop(state, lambda node, *_: node != 0, step, label="closest")
     return best, found
+
+
+def pending(boxes: Boxes, q: mi.Point3f, reach: mi.Float, leaf: mi.UInt32, bound: mi.Float) -> mi.UInt32:
+    """The trail with which every search from the cube of half side ``reach`` about ``q`` can begin at ``leaf``.
+
+    Bit i tells whether the sibling of the leaf's ancestor i levels up is within ``bound`` of the cube.
+    """
+    trail, node = mi.UInt32(0), leaf + boxes.leaves
+    for level in range(boxes.depth):
+        left, right = boxes.children(node >> 1)
+        is_left = (node & 1) == 0
+        sibling = [dr.select(is_left, b, a) for a, b in zip(left, right, strict=True)]
+        trail |= dr.select(box_distance2(sibling, q, reach) <= bound * bound, 1 << level, 0)
+        node = node >> 1
+    return trail

@@ -68,19 +68,19 @@ def pair_triangles(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray,
     n, m = neighbour[t, k], other_edge[t, k]
     order = np.argsort(-(share[t, k] + share[n, m]), kind="stable")
     free = np.ones(len(faces), bool)
-    corners: list[tuple[int, int, int, int]] = []
-    triangles: list[tuple[int, int]] = []
-    for i in order:
+    chosen = []
+    for i in order.tolist():
         if free[t[i]] and free[n[i]]:
             free[t[i]] = free[n[i]] = False
-            c, a, b = np.roll(faces[t[i]], -int(k[i]))
-            corners.append((a, b, c, faces[n[i]][(m[i] + 2) % 3]))
-            triangles.append((t[i], n[i]))
-    for i in np.nonzero(free)[0]:
-        a, b, c = faces[i]
-        corners.append((a, b, c, c))
-        triangles.append((i, i))
-    return np.array(corners, np.uint32), np.array(triangles, np.uint32)
+            chosen.append(i)
+    single = np.nonzero(free)[0]
+    t, k, n, m = (np.asarray(part[chosen], np.int64) for part in (t, k, n, m))
+    # edge k of t runs from c to a: the diagonal that both triangles share
+    columns = [faces[t, (k + 1) % 3], faces[t, (k + 2) % 3], faces[t, k], faces[n, (m + 2) % 3]]
+    alone = faces[single][:, [0, 1, 2, 2]]
+    corners = np.concatenate([np.stack(columns, axis=1), alone])
+    triangles = np.concatenate([np.stack([t, n], axis=1), np.stack([single, single], axis=1)])
+    return corners.astype(np.uint32), triangles.astype(np.uint32)
 
 
 def build_tree(vertices: np.ndarray, faces: np.ndarray) -> Tree:
