@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ndf_mi.compare import metrics
+from ndf_mi.compare.methods import mesh_fit
 from ndf_mi.compare.methods.mesh import TexturedMesh
 from ndf_mi.compare.methods.mesh_fit import RATES, TextureFit
 from ndf_mi.compare.methods.surface import TexturedSurface
@@ -56,7 +57,8 @@ def test_saved_and_loaded_renders_the_same(capture, trained, tmp_path):
         TexturedMesh.load(tmp_path, capture)
 
 
-def test_convergence_ends_and_lowers_the_loss(capture):
+def test_convergence_ends_and_lowers_the_loss(capture, monkeypatch):
+    monkeypatch.setattr(mesh_fit, "WINDOW_STEPS", 16)
     mesh = TexturedMesh(capture, size=32, rate=0.1)
     mesh.fit(capture)
     facts = mesh.facts()

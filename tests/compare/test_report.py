@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import copy
 import io
 import math
 import re
@@ -43,8 +44,14 @@ def mesh_facts(budget):
             "sweep": {"0.1": 0.002, "0.3": 0.004}, "history": history}  # fmt: skip
 
 
-@pytest.fixture
-def results(capture, tmp_path):
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Where the pictures are."""
+    return tmp_path_factory.mktemp("pictures")
+
+
+@pytest.fixture(scope="module")
+def measured(capture, folder):
     views = choose_views(capture, 2)
     made = Results(
         {
@@ -63,9 +70,14 @@ def results(capture, tmp_path):
         ("mesh-converged", "Mesh, to convergence", 0.0, mesh_facts(None)),
     ):
         result = MethodResult(key, label, f"print of {key}", facts)
-        evaluate(Shifted(capture, shift), result, capture, views, tmp_path / "pictures" / key, lambda: None)
+        evaluate(Shifted(capture, shift), result, capture, views, folder / key, lambda: None)
         made.methods.append(result)
     return made
+
+
+@pytest.fixture
+def results(measured):
+    return copy.deepcopy(measured)
 
 
 def test_views_cover_the_splits_and_grow_without_changing(capture):
@@ -169,9 +181,9 @@ class Page(HTMLParser):
         self.text += data
 
 
-def test_report_is_one_valid_file_with_the_pictures(results, capture, tmp_path):
+def test_report_is_one_valid_file_with_the_pictures(results, capture, folder, tmp_path):
     history = [{"seconds": s, "psnr": 20 + s, "step": s} for s in range(1, 5)]
-    write_report(tmp_path / "report.html", results, capture, tmp_path / "pictures", history)
+    write_report(tmp_path / "report.html", results, capture, folder, history)
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     page = Page(text)
     assert not page.open
@@ -187,9 +199,9 @@ def test_report_is_one_valid_file_with_the_pictures(results, capture, tmp_path):
         assert expected in page.text, expected
 
 
-def test_a_mesh_that_converged_early_is_said_to_stand_for_equal_time(results, capture, tmp_path):
+def test_a_mesh_that_converged_early_is_said_to_stand_for_equal_time(results, capture, folder, tmp_path):
     results.methods.pop(1)
-    write_report(tmp_path / "report.html", results, capture, tmp_path / "pictures", [])
+    write_report(tmp_path / "report.html", results, capture, folder, [])
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "stands for equal time" in text and text.count("<svg") == 1
 

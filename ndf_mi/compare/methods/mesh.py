@@ -163,4 +163,7 @@ def _read_json(file: Path) -> dict[str, Any]:
     if not isinstance(document, dict) or document.get("version") != _VERSION or set(document) != keys:
         found = document.get("version") if isinstance(document, dict) else type(document).__name__
         raise InputError(file, f"version {found}", f"version {_VERSION} with {', '.join(sorted(keys))}")
+    size, rate = document["size"], document["rate"]
+    if not (isinstance(size, int) and size > 0 and isinstance(rate, (int, float)) and rate > 0):
+        raise InputError(f"{file}: size, rate", f"{size!r}, {rate!r}", "a whole number and a number, above 0")
     return document
