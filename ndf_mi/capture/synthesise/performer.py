@@ -33,7 +33,7 @@ class Performer:
         self.body = body
         self.shape = np.asarray(shape, dtype=np.float32)
         self.layers: list[Layer] = dress(body, self.shape)
-        self._skinned = [SkinnedVertices(np.float32(layer.rest), np.float32(layer.weights)) for layer in self.layers]
+        self._skinned = [SkinnedVertices(layer.rest, layer.weights) for layer in self.layers]
         self._mean = [averaging(layer.faces, len(layer.rest)) for layer in self.layers]
 
     def pose(
@@ -47,17 +47,17 @@ class Performer:
         """
         assert self.body.joint_names is not None
         transforms = joint_transforms(self.body, pose, root_rotation, translation, self.shape)
-        by_name = dict(zip(self.body.joint_names, np.float64(pose), strict=True))
+        by_name = dict(zip(self.body.joint_names, pose.astype(np.float64), strict=True))
         down = -Rotation.from_rotvec(root_rotation).as_matrix()[:, 1]
-        keep_out = _Outside(np.float64(naked), self.body.faces)
+        keep_out = _Outside(naked.astype(np.float64), self.body.faces)
         posed = []
         for layer, skinned, mean in zip(self.layers, self._skinned, self._mean, strict=True):
-            vertices = np.float64(skinned.apply(transforms)).reshape(-1, 3)
+            vertices = np.array(skinned.apply(transforms), dtype=np.float64).reshape(-1, 3)
             if layer.folds is not None:
                 vertices = _drape(layer, layer.folds, vertices, by_name, down)
             if layer.clearance is not None:
                 vertices = keep_out(vertices, layer.clearance, mean)
-            posed.append(np.float32(vertices))
+            posed.append(vertices.astype(np.float32))
         return posed
 
 
@@ -87,7 +87,10 @@ class _Outside:
         for _ in range(4):
             push = mean @ push
         vertices = vertices + push
-        return vertices + self._push(vertices, clearance)
+        # Out of one limb may be into its neighbour, hence again.
+        for _ in range(3):
+            vertices = vertices + self._push(vertices, clearance)
+        return vertices
 
     def _push(self, vertices: np.ndarray, clearance: float) -> np.ndarray:
         _, nearest = self._tree.query(vertices)

@@ -93,7 +93,10 @@ def shape_of(body: Body) -> np.ndarray:
 
 
 def motion(body: Body, settings: Settings) -> Poses:
-    """The posed body of every frame, its lowest point at the height 0 and its hips over the origin: evenly spaced times of the training clips, then of the novel one."""
+    """The posed body of every frame: evenly spaced times of the training clips, then of the novel one.
+
+    The lowest point of every frame is at the height 0 and the hips are over the origin.
+    """
     first = settings.frames - settings.frames // 2
     counts = [(TRAINING_CLIPS[0], first), (TRAINING_CLIPS[1], settings.frames - first), (NOVEL_CLIP, settings.pose_frames)]
     shape = shape_of(body)

@@ -9,9 +9,10 @@ from scipy.spatial import cKDTree
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Undirected edges (E, 2) of (F, 3) faces, and (F, 3) indices of each face's edges 01, 12, 20."""
-    corners = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    edges, index = np.unique(corners, axis=0, return_inverse=True)
-    return edges, index.reshape(-1, 3)
+    corners = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64), axis=1)
+    count = int(faces.max()) + 1
+    keys, index = np.unique(corners[:, 0] * count + corners[:, 1], return_inverse=True)
+    return np.stack(np.divmod(keys, count), axis=1), index.reshape(-1, 3)
 
 
 def loop_subdivision(faces: np.ndarray, count: int) -> tuple[sparse.csr_matrix, np.ndarray]:
