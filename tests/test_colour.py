@@ -25,7 +25,6 @@ def test_round_trip_keeps_float32():
 
 @pytest.mark.parametrize("curve", [linear_to_srgb, srgb_to_linear])
 def test_drjit_agrees_with_numpy_and_gradients_are_finite(curve):
-    mi.set_variant("llvm_ad_rgb")
     value = np.array([-0.1, 0.0, 0.001, 0.01, 0.3, 0.9, 1.5], dtype=np.float32)
     x = mi.Float(value)
     dr.enable_grad(x)

@@ -81,7 +81,6 @@ def write_capture(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], P
     """Writes the capture under a name; the name changes its digest."""
 
     def write(name: str) -> Path:
-        mi.set_variant("llvm_ad_rgb")
         body = sphere()
         shifts = np.array([[0, 0, 0], [0.1, 0, 0.05], [-0.1, 0.1, 0]], dtype=np.float32)
         vertices = body.template[None] + shifts[:, None]

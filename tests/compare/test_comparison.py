@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from ndf_mi import files
+from ndf_mi.commands import main
 from ndf_mi.commands.compare import Compare
 from ndf_mi.commands.compare_console import print_tables
 from ndf_mi.compare import comparison, metrics
@@ -167,3 +168,11 @@ def test_folder_with_something_else_is_refused(run, capture, tmp_path):
     (tmp_path / comparison.RESULTS).write_text("{}")
     with pytest.raises(InputError, match="compare.json"):
         Comparison(run, capture.path, tmp_path, SETTINGS, "")
+
+
+def test_mistakes_leave_with_exit_code_2_and_nothing_written(capture, tmp_path, capsys):
+    arguments = ["compare", str(tmp_path / "absent"), "--capture", str(capture.path), "-o", str(tmp_path / "out")]
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert "absent" in said and "expected" in said and "Traceback" not in said
+    assert not (tmp_path / "out").exists()
