@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -94,7 +96,7 @@ class Cells:
         """Where the searches from cubes begin, given in cells: their centres and half their side."""
         q = frame.to_units(self._low + centre / self._per_metre)
         reach = half * (1 + 1e-3) / self._per_metre * frame.scale
-        corner = np.sqrt(3) * reach
+        corner = math.sqrt(3) * reach
         band_units = dr.opaque(mi.Float, band * (1 + 1e-3)) * frame.scale
         farthest = (1 + SLACK) * (band_units + corner)
         best2, found = closest_pair(boxes, q, farthest * farthest, node, trail, SLACK)

@@ -76,9 +76,10 @@ class PosedSurface:
                 raise InputError("vertices", "NaN or infinity", "finite coordinates, in metres")
             low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
             pad = self.band + 1e-3 * self.band + 1e-6 * float(np.abs(positions).max())
-            self._reach = dr.opaque(mi.Float, self.band * (1 + 1e-4))
+            # opaque, or another band would be another kernel
+            self._delta = dr.opaque(mi.Float, self.band)
             self.bbox = mi.BoundingBox3f(mi.Point3f(*(low - pad).tolist()), mi.Point3f(*(high + pad).tolist()))
-            self._frame = Frame(low, high)
+            self._frame = Frame(low, high, self.band)
             self._boxes = refit(surface, detached, self._frame)
             self._face_normals = face_normals(surface, detached)
             self._vertex_normals = vertex_normals(surface, detached, self._face_normals)
@@ -117,7 +118,7 @@ class PosedSurface:
         for k in range(3):
             texel = dr.gather(mi.Point2f, surface.corner_uv, 3 * triangle + k, active)
             uv = uv + mi.Point2f(texel) * weights[k]
-        valid = active & (dr.abs(l_value) <= self.band)
+        valid = active & (dr.abs(l_value) <= self._delta)
         return Projection(uv, l, triangle, weights, x - local.offset, mi.Normal3f(normal), valid)
 
     def _sign(
@@ -159,7 +160,7 @@ class PosedSurface:
 
     def _search(self, x: mi.Point3f, cell: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Number 2 · leaf + (0 or 1) of the closest triangle in the band, 2 · leaves where there is none."""
-        bound = dr.square(self._reach * self._frame.scale)
+        bound = dr.square(self._delta * (1 + 1e-4) * self._frame.scale)
         node, trail = self._cells.start(cell, active)
         return closest_pair(self._boxes, self._frame.to_units(x), bound, node, trail)[1]
 

@@ -28,8 +28,8 @@ class Frame:
     Boxes then fit 16 bits a bound, rounded outwards; and far from the world's origin no precision is lost.
     """
 
-    def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
-        side = max(float((high - low).max()), 1e-12)
+    def __init__(self, low: np.ndarray, high: np.ndarray, band: float) -> None:
+        side = max(float((high - low).max()), 1e-3 * band)
         self.origin = mi.Point3f(*(dr.opaque(mi.Float, float(c)) for c in low))
         # a hair less than fits, as the scaling rounds
         self.scale = dr.opaque(mi.Float, UNITS * (1 - 1e-6) / side)
