@@ -59,7 +59,7 @@ class Document:
         return sorted({pair for split in self.splits.values() for pair in split})
 
     def as_json(self) -> dict[str, Any]:
-        """The document as JSON values."""
+        """The document as JSON values; splits without an image are left out."""
         value: dict[str, Any] = {
             "format": FORMAT,
             "version": VERSION,
@@ -72,6 +72,7 @@ class Document:
             "splits": {
                 name: {"cameras": list(split.cameras), "frames": [int(f) for f in split.frames]}
                 for name, split in self.splits.items()
+                if len(split)
             },
         }
         if self.lighting is not None:
