@@ -20,8 +20,10 @@ def test_loop_subdivision_agrees_with_trimesh_on_closed_and_open_meshes() -> Non
     """Where Warren's vertex weights are Loop's: at valences 3 and 6, here of a tetrahedron's four-fold subdivision."""
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
     solid = trimesh.Trimesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]).subdivide().subdivide()
-    flat, faces = square(6)
-    patch = trimesh.Trimesh(flat + np.sin(5 * flat[:, :1] + 3 * flat[:, 1:2]) * [0, 0, 0.3], faces, process=False)
+    turn = np.arange(6) * np.pi / 3
+    ring = np.stack([np.cos(turn), np.sin(turn), 0.2 * np.sin(2 * turn + 0.3)], axis=1)
+    fan = [[0, 1 + i, 1 + (i + 1) % 6] for i in range(6)]
+    patch = trimesh.Trimesh(np.concatenate([[[0.1, 0, 0.4]], ring]), fan, process=False)
     for mesh in (solid, patch):
         matrix, faces = loop_subdivision(np.asarray(mesh.faces), len(mesh.vertices))
         vertices = matrix @ np.asarray(mesh.vertices)
