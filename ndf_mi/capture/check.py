@@ -30,6 +30,8 @@ def problems(path: str | os.PathLike[str]) -> list[InputError]:
     """
     folder = Path(path)
     document, found = parse_document(folder)
+    if not folder.is_dir():
+        return found
     body: Body | None = None
     poses: Poses | None = None
     try:

@@ -61,14 +61,16 @@ class CaptureSynthesise:
         from ndf_mi.capture.synthesise.synthesise import synthesise
 
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        with Progress(*columns) as bar:
-            task = bar.add_task("images", total=None)
-            synthesise(
-                self.out,
-                settings,
-                self.name,
-                self.overwrite,
-                lambda done, total: bar.update(task, completed=done, total=total),
-            )
+        bar = Progress(*columns)
+        task = bar.add_task("images", total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.start()  # not before: what is wrong with OUT is said without a bar
+            bar.update(task, completed=done, total=total)
+
+        try:
+            synthesise(self.out, settings, self.name, self.overwrite, show)
+        finally:
+            bar.stop()
         print(f"{self.out}: {settings.pixels} pixels, {settings.cameras} cameras")
         return 0
