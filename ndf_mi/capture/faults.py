@@ -1,0 +1,46 @@
+"""Collects what is wrong with a JSON file, key by key, where raising would stop at the first."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ndf_mi.errors import InputError
+
+
+@dataclass
+class Faults:
+    """Collects what is wrong with one file, key by key."""
+
+    file: Path
+    found: list[InputError] = field(default_factory=list)
+
+    def add(self, key: str, found: str, expected: str, mend: str = "") -> None:
+        self.found.append(InputError(f"{self.file}: {key}" if key else self.file, found, expected, mend))
+
+    def number(self, value: Any, key: str, low: float = -math.inf, high: float = math.inf) -> float | None:
+        """``value`` as a finite float within [low, high], or None with the fault noted."""
+        if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+            self.add(key, show(value), "a finite number")
+        elif not low <= value <= high:
+            self.add(key, show(value), f"a number in [{low:g}, {high:g}]")
+        else:
+            return float(value)
+        return None
+
+    def text(self, value: Any, key: str) -> str | None:
+        if isinstance(value, str) and value:
+            return value
+        self.add(key, show(value), "a string")
+        return None
+
+
+def show(value: Any) -> str:
+    """A value as a message shows it: short, and ``nothing`` for a key that isn't there."""
+    if value is None:
+        return "nothing"
+    text = json.dumps(value, default=str)
+    return text if len(text) <= 60 else text[:57] + "..."
