@@ -1,7 +1,86 @@
-"""Sets the variant once for all tests: ``NDF_MI_VARIANT``, or what suits the machine."""
+"""Sets the variant once for all tests: ``NDF_MI_VARIANT``, or what suits the machine. Holds the small run that many tests use."""
 
 from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
 
 from ndf_mi import variants
 
 variants.use()
+
+if TYPE_CHECKING:
+    from ndf_mi.body.body import Body
+    from ndf_mi.body.poses import Poses
+    from ndf_mi.run import Run
+
+RADIUS = 0.3
+
+
+def ball(frames: int = 3) -> tuple[Body, Poses]:
+    """A closed ball of radius 0.3 m around the origin with two joints, and poses that move it by 5 cm a frame along x."""
+    import trimesh
+
+    from ndf_mi.body.body import Body
+    from ndf_mi.body.poses import Poses
+
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=RADIUS)
+    vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
+    corners = vertices[faces.ravel()] / RADIUS
+    uv = np.stack([0.5 + np.arctan2(corners[:, 0], corners[:, 2]) / (2 * np.pi), 0.5 + np.arcsin(corners[:, 1]) / np.pi], -1)
+    turn = uv[:, 0].reshape(-1, 3)
+    turn[(turn.max(1) - turn.min(1) > 0.5)[:, None] & (turn < 0.5)] += 1
+    uv = np.clip(np.stack([turn.ravel() / 1.2, uv[:, 1]], -1), 0, 1).astype(np.float32)
+    body = Body(faces=faces, uv=uv, uv_faces=np.arange(faces.size, dtype=np.int32).reshape(-1, 3), template=vertices)
+    shift = 0.05 * np.arange(frames, dtype=np.float32)[:, None] * np.array([1, 0, 0], np.float32)
+    pose = np.zeros((frames, 2, 3), np.float32)
+    pose[:, 1, 2] = 0.3 * np.arange(frames)
+    return body, Poses(frames=np.arange(frames, dtype=np.int32), vertices=vertices + shift[:, None], pose=pose,
+                       root_rotation=np.zeros((frames, 3), np.float32), translation=shift)
+
+
+@pytest.fixture
+def make_run(tmp_path: Path) -> Callable[..., Run]:
+    """Makes a run around the ball in a temporary folder, from the `tiny` preset with changes; saved."""
+    from ndf_mi.field import preset
+    from ndf_mi.run import Run
+
+    def make(name: str = "run", seed: int = 1, **changes: Any) -> Run:
+        body, poses = ball()
+        run = Run.create(tmp_path / name, dataclasses.replace(preset("tiny"), **changes), body, poses, seed, background=[0.0, 0.0, 0.0])
+        run.save()
+        return run
+
+    return make
+
+
+@pytest.fixture
+def make_constant_run(make_run: Callable[..., Run]) -> Callable[..., Run]:
+    """A run whose density is one number in the whole band, without fading, and whose colour is one sRGB colour."""
+    import mitsuba as mi
+
+    def make(sigma: float, srgb: tuple[float, float, float] = (0.5, 0.5, 0.5), name: str = "run", **changes: Any) -> Run:
+        # A limit, and with it a majorant, not far above: null collisions cost time.
+        run = make_run(name, band=0.08, band_inside=0.08, band_fade=0.0, **{"density_limit": 2 * sigma, **changes})
+        field = run.model.field
+        weights = field.weights.numpy()
+        p = field.preset
+        activation = -p.density_limit * np.log1p(-sigma / p.density_limit) / p.density_gain
+        for layer, row, value in (
+            ("density_out", 0, np.log(np.expm1(activation)) - p.density_bias),
+            *(("colour_out", i, np.log(c / (1 - c))) for i, c in enumerate(srgb)),
+        ):
+            at = field.layers[layer]
+            columns = at.inputs + at.pose
+            weights[at.offset + row * columns : at.offset + (row + 1) * columns] = 0
+            weights[at.offset + at.outputs * columns + row] = value
+        field.weights = mi.Float(weights)
+        run.save()
+        return run
+
+    return make

@@ -20,8 +20,11 @@ TILE = 4096
 class RaySource(Protocol):
     """A camera: an image size and the rays through pixel coordinates."""
 
-    w: int
-    h: int
+    @property
+    def w(self) -> int: ...
+
+    @property
+    def h(self) -> int: ...
 
     def rays(self, pixels: mi.Point2f) -> mi.Ray3f: ...
 

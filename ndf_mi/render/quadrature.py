@@ -106,12 +106,12 @@ def quadrature(
         hit, near, far = box_interval(volume.bbox, ray)
         t, delta = stratified(near, far, samples, jitter)
         parent = dr.arange(mi.UInt32, lanes) // samples
-        x = dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * t
+        x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * t)
         candidate = dr.gather(mi.Bool, hit, parent) & volume.near(x)
         dr.eval(candidate, t, delta)
         first, real, _ = workspace.near(candidate)
         parent = first // samples
-        x = dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * dr.gather(mi.Float, t, first)
+        x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * dr.gather(mi.Float, t, first))
         handle, inside = volume.locate(x, real)
         inside &= real
         dr.eval(handle, inside)
@@ -122,7 +122,7 @@ def quadrature(
 
     parent = index // samples
     o, d = dr.gather(mi.Point3f, ray.o, parent), dr.gather(mi.Vector3f, ray.d, parent)
-    sample = volume.evaluate(o + d * dr.gather(mi.Float, t, index), d, handle, real)
+    sample = volume.evaluate(mi.Point3f(o + d * dr.gather(mi.Float, t, index)), d, handle, real)
 
     def spread(value: mi.Float) -> mi.Float:
         """Back to one lane a candidate; zero where nothing was evaluated."""

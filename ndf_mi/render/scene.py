@@ -49,9 +49,12 @@ def render_scene(
         params.update()
     try:
         mi.render(scene, sensor=sensors[sensor], spp=spp, seed=seed)
-    except InputError:
-        raise
     except RuntimeError as error:
+        cause: BaseException | None = error
+        while cause is not None:
+            if isinstance(cause, InputError):
+                raise cause from None
+            cause = cause.__cause__
         raise InputError("scene", f"one that its integrator cannot render: {error}", "another integrator or scene") from None
     bitmap = sensors[sensor].film().bitmap(raw=False)
     array = np.array(bitmap, dtype=np.float32)

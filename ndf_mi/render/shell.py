@@ -30,8 +30,8 @@ def band_shell(surface: Surface, vertices: mi.Float, band: float, cell: float = 
     level = band + 0.5 * np.sqrt(3.0) * cell
     reach = level + 2 * cell
     posed = surface.pose(vertices, reach)
-    low = np.array([float(posed.bbox.min[i]) for i in range(3)]) - cell
-    high = np.array([float(posed.bbox.max[i]) for i in range(3)]) + cell
+    low = posed.bbox.min.numpy().ravel().astype(np.float64) - cell
+    high = posed.bbox.max.numpy().ravel().astype(np.float64) + cell
     shape = tuple(int(n) for n in np.ceil((high - low) / cell) + 1)
     distance = np.full(shape, reach, dtype=np.float32)
     flat = distance.reshape(-1)
@@ -44,5 +44,5 @@ def band_shell(surface: Surface, vertices: mi.Float, band: float, cell: float = 
             near = posed.near(x)
             found = posed.project(x, near)
             flat[index] = dr.select(near & found.valid, dr.abs(found.l), reach).numpy()
-    corners, faces, _, _ = marching_cubes(distance, level, spacing=(cell,) * 3, gradient_direction="ascent")
+    corners, faces, _, _ = marching_cubes(distance, level, spacing=(cell,) * 3, gradient_direction="descent")
     return (corners + low).astype(np.float32), faces.astype(np.uint32)
