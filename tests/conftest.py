@@ -14,6 +14,8 @@ from ndf_mi import variants
 
 variants.use()
 
+pytest_plugins = ["sphere_capture"]
+
 if TYPE_CHECKING:
     from ndf_mi.body.body import Body
     from ndf_mi.body.poses import Poses

@@ -20,10 +20,13 @@ from ndf_mi.learn.rays import RaySampler
 from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
 from ndf_mi.model import PosedModel
 from ndf_mi.render.quadrature import Workspace, quadrature
+from ndf_mi.render.sampling import Compaction
 from ndf_mi.run import Run
 
 STATE = "state.safetensors"
 _SMOOTHING = 0.98
+_MARGIN = 1.35
+"""Room for steps with more samples than those before: outgrown, all kernels of that size are compiled anew."""
 _SETTLE = (192, 256, 768, 1024, 3072, 4096)
 """Steps before which array sizes are fitted to what is needed by then; each time, some kernels may be compiled anew. In pairs: the
 first of a pair only starts the count."""
@@ -57,7 +60,7 @@ class Trainer:
         self._rng = np.random.default_rng([options.seed, 1])
         preset = run.model.field.preset
         self._loss = ImageLoss(options, mi.Color3f(*[float(v) for v in run.background]), preset.band, preset.density_gain)
-        self._workspace = Workspace()
+        self._workspace = Workspace(Compaction(margin=_MARGIN), Compaction(margin=_MARGIN))
         field = run.model.field
         self._networks = mi.ad.Adam(lr=options.learning_rate, params={"weights": field.weights})
         # Most entries of the table see no sample in a step: those keep their value and moments, as in the grid's paper.

@@ -1,0 +1,154 @@
+"""Training as a whole: it learns, goes on exactly where it stopped, compiles nothing once warm, and refuses what cannot be."""
+
+import dataclasses
+import json
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from ndf_mi.errors import InputError
+from ndf_mi.field import preset
+from ndf_mi.learn.loop import resume, start, train
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.rays import RaySampler, box_pixels, pixel_rays
+from ndf_mi.render.image import ImageRenderer
+from ndf_mi.run import Run
+
+OPTIONS = TrainingOptions(steps=60, rays=256, samples=24, seed=4)
+TINY = dataclasses.replace(preset("tiny"), band_inside=0.08)
+
+
+def taken(trainer, steps):
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def test_training_learns_and_writes_a_run(capture, tmp_path):
+    trainer = start(tmp_path / "run", capture, TINY, dataclasses.replace(OPTIONS, steps=300, learning_rate=1e-2, grid_rate=5e-2))
+    train(trainer, quiet=True)
+    run = Run.load(tmp_path / "run")
+    camera, frame = "n0", capture.splits["novel_view"].frames[0]
+    image = ImageRenderer(64)(run.posed(frame), capture.cameras[camera]).over(run.background)
+    truth = capture.image(camera, frame)
+    mask = capture.mask(camera, frame)
+    assert np.square(image - truth)[mask].mean() < 0.25 * np.square(truth[mask] - truth[mask].mean(0)).mean()
+    assert np.square(image - truth)[~mask].mean() < 4e-3
+    rows = [json.loads(line) for line in (run.path / "metrics.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == [50, 100, 150, 200, 250, 300] and rows[-1]["psnr"] > rows[0]["psnr"]
+    assert run.config["trained"]["steps"] == 300 and run.config["trained"]["done"]
+    assert list(run.path.glob("events*"))
+
+
+def test_resumed_training_ends_at_the_weights_of_an_uninterrupted_one(capture, tmp_path):
+    """To the last bit but for the order in which threads add up gradients of the hash table."""
+    whole = taken(start(tmp_path / "whole", capture, TINY, OPTIONS), 30)
+    whole.publish()
+    half = taken(start(tmp_path / "half", capture, TINY, OPTIONS), 15)
+    half.save()
+    taken(half, 4)  # steps that are lost, as when the process is killed
+    again = taken(resume(tmp_path / "half", capture), 15)
+    again.publish()
+    assert again.progress.step == 30
+    for key, value in whole.run.field_tensors().items():
+        np.testing.assert_allclose(again.run.field_tensors()[key], value, rtol=0, atol=2e-4 * np.abs(value).max())
+    fresh = start(tmp_path / "other", capture, TINY, dataclasses.replace(OPTIONS, seed=5)).run.field_tensors()
+    assert np.abs(fresh["weights"] - whole.run.field_tensors()["weights"]).max() > 0.01
+
+
+def test_nothing_is_compiled_once_warm(capture, tmp_path):
+    trainer = taken(start(tmp_path / "run", capture, TINY, OPTIONS), 12)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        taken(trainer, 25)
+        history = dr.kernel_history([dr.KernelType.JIT])
+    assert len(history) > 100
+    assert [kernel["size"] for kernel in history if not kernel["cache_hit"]] == []
+
+
+def test_rays_hit_what_they_should(capture):
+    sampler = RaySampler(capture, capture.splits["train"], dataclasses.replace(OPTIONS, rays=1000))
+    batch = sampler(np.random.default_rng(0))
+    assert batch.origin.shape == batch.direction.shape == batch.target.shape == (3, 1000)
+    np.testing.assert_allclose(np.linalg.norm(batch.direction, axis=0), 1, atol=1e-6)
+    vertices = capture.poses.vertices[capture.poses.index(batch.frame)]
+    centre, radius = vertices.mean(0), np.linalg.norm(vertices - vertices.mean(0), axis=1).max()
+    away = batch.origin - centre[:, None]
+    distance = np.linalg.norm(away - (away * batch.direction).sum(0) * batch.direction, axis=0)
+    # On the mask is where the ray meets the ball, up to a pixel.
+    pixel = 2.5 / 72
+    assert (distance[batch.mask > 0] < radius + pixel).all() and (distance[batch.mask == 0] > radius - 2 * pixel).all()
+    assert 0.5 < batch.mask.mean() < 0.95
+    background = np.round(capture.background * 255) / 255
+    np.testing.assert_allclose(batch.target[:, distance > radius + pixel], background[:, None].repeat((distance > radius + pixel).sum(), 1),
+                               atol=1e-6)
+
+
+def test_edge_pixels_are_left_out(capture):
+    sampler = RaySampler(capture, capture.splits["train"], dataclasses.replace(OPTIONS, edge_kernel=3, rays=4000))
+    batch = sampler(np.random.default_rng(0))
+    target = batch.target[:, batch.mask == 0]
+    np.testing.assert_allclose(target, np.broadcast_to(capture.background[:, None], target.shape), atol=3e-3)
+
+
+def test_pixel_rays_agree_with_the_cameras_own(capture):
+    camera = capture.cameras["c1"]
+    pixels = np.array([0, 17, camera.w * camera.h - 1])
+    _, direction = pixel_rays(camera, pixels)
+    y, x = np.divmod(pixels, camera.w)
+    ray = camera.rays(mi.Point2f(mi.Float((x + 0.5).astype(np.float32)), mi.Float((y + 0.5).astype(np.float32))))
+    np.testing.assert_allclose(np.array(ray.d), direction, atol=1e-6)
+    points = camera.position + 2 * direction.T
+    np.testing.assert_allclose(camera.project(points), np.stack([x, y], -1) + 0.5, atol=1e-6)
+
+
+def test_box_pixels_cover_the_boxs_corners(capture):
+    camera = capture.cameras["c0"]
+    low, high = np.full(3, -0.3), np.full(3, 0.3)
+    mask = box_pixels(camera, low, high)
+    corners = np.stack(np.meshgrid(*np.stack([0.9 * low, 0.9 * high], -1)), -1).reshape(-1, 3)
+    x, y = np.floor(camera.project(corners)).astype(int).T
+    assert mask[y, x].all() and not mask[0].any() and not mask[:, -1].any()
+
+
+def test_a_run_is_not_overwritten_and_belongs_to_its_capture(capture, write_capture, tmp_path):
+    from ndf_mi.capture.capture import Capture
+
+    start(tmp_path / "run", capture, TINY, OPTIONS)
+    with pytest.raises(InputError, match="--resume"):
+        start(tmp_path / "run", capture, TINY, OPTIONS)
+    with pytest.raises(InputError, match="other"):
+        resume(tmp_path / "run", Capture.read(write_capture("other")))
+    with pytest.raises(InputError, match="config.json"):
+        resume(tmp_path / "nothing", capture)
+
+
+@pytest.mark.parametrize("damage", ["truncate", "state", "newer", "options"])
+def test_damaged_runs_are_refused_by_name(capture, tmp_path, damage):
+    trainer = taken(start(tmp_path / "run", capture, TINY, OPTIONS), 1)
+    trainer.save()
+    config = tmp_path / "run" / "config.json"
+    values = json.loads(config.read_text())
+    if damage == "truncate":
+        file = tmp_path / "run" / "field.safetensors"
+        file.write_bytes(file.read_bytes()[:1000])
+        match = "field.safetensors"
+    elif damage == "state":
+        (tmp_path / "run" / "state.safetensors").write_bytes(b"nonsense")
+        match = "state.safetensors"
+    elif damage == "newer":
+        config.write_text(json.dumps(values | {"version": 2}))
+        match = "newer ndf-mi"
+    else:
+        config.write_text(json.dumps(values | {"preset": values["preset"] | {"colour_of_sky": 1}}))
+        match = "colour_of_sky"
+    with pytest.raises(InputError, match=match):
+        resume(tmp_path / "run", capture)
+
+
+@pytest.mark.parametrize(("change", "word"), [({"rays": 0}, "rays"), ({"mask_share": 2.0}, "mask-share"), ({"seed": -1}, "seed")])
+def test_wrong_options_are_named(change, word):
+    with pytest.raises(InputError, match=word):
+        dataclasses.replace(OPTIONS, **change)
