@@ -35,7 +35,7 @@ class Cells:
     """
 
     def __init__(self, low: np.ndarray, high: np.ndarray, band: float, frame: Frame, boxes: Boxes) -> None:
-        side = max(0.25 * band, float((high - low).max()) / 256)
+        side = max(0.3 * band, float((high - low).max()) / 256)
         blocks = np.ceil((high - low) / (BLOCK * side)).astype(np.int64)
         self._low = mi.Point3f(*(dr.opaque(mi.Float, float(c)) for c in low))
         self._per_metre = dr.opaque(mi.Float, 1 / side)
@@ -98,7 +98,7 @@ class Cells:
         reach = half * (1 + 1e-3) / self._per_metre * frame.scale
         corner = math.sqrt(3) * reach
         band_units = dr.opaque(mi.Float, band * (1 + 1e-3)) * frame.scale
-        farthest = (1 + SLACK) * (band_units + corner)
+        farthest = band_units + corner
         best2, found = closest_pair(boxes, q, farthest * farthest, node, trail, SLACK)
         touched = found < 2 * boxes.leaves
         leaf = dr.select(touched, found // 2, 0)

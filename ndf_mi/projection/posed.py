@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ndf_mi.projection.surface import Surface
 
 
-SORTED = 4096
+SORTED = 16384
 """Number of queries from which sorting them pays."""
 
 

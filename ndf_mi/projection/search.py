@@ -121,7 +121,7 @@ def closest_pair(
         node: where to begin, 0 in lanes without a query: the root, or a leaf that is likely to be close, which is tested
             first, to go up from there.
         trail: bit i is set where the sibling of ``node >> i`` is to be visited as well.
-        slack: s > 0 allows a triangle up to 1 + s times as far as the closest one, and beyond the bound over 1 + s none.
+        slack: s > 0 allows a triangle up to 1 + s times as far as the closest one; it never misses one within the bound.
 
     Returns:
         the squared distance of the best triangle, or ``bound2`` where there is none within; and its number 2 · leaf +
@@ -143,10 +143,9 @@ def closest_pair(
             (node, trail, best, found), node >= leaves, leaf, lambda *state: state, label="closest: leaf"
         )
         inner = (node != 0) & (node < leaves)
-        left, right = (
-            box_distance2(words, q) * (1 + slack) ** 2 for words in boxes.children(dr.select(inner, node, 1))
-        )
-        hit, both = inner & (smaller(left, right) < best), inner & (larger(left, right) < best)
+        left, right = (box_distance2(words, q) for words in boxes.children(dr.select(inner, node, 1)))
+        limit = best if slack == 0 else dr.select(found < 2 * leaves, best / (1 + slack) ** 2, best)
+        hit, both = inner & (smaller(left, right) < limit), inner & (larger(left, right) < limit)
         below = 2 * node + dr.select(right < left, 1, 0)
         node, trail = dr.select(hit, below, node), dr.select(hit, 2 * trail + dr.select(both, 1, 0), trail)
         popped = _pop(node, trail)
