@@ -1,0 +1,87 @@
+"""`ndf-mi render` and `ndf-mi optimise` through the command line: what they write, and how they refuse."""
+
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from skimage.io import imread
+
+from ndf_mi.commands import main
+
+SCENE = Path(__file__).parents[2] / "scenes" / "performer.xml"
+
+
+def channels(path):
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {name: channel.pixels for name, channel in file.channels().items()}
+
+
+def test_a_run_to_png_and_to_exr(make_constant_run, tmp_path):
+    run = make_constant_run(200.0, srgb=(0.8, 0.4, 0.2))
+    assert main(["render", str(run.path), "-o", str(tmp_path / "a.png"), "--size", "40", "30", "--frame", "2", "--azimuth", "40"]) == 0
+    image = imread(tmp_path / "a.png")
+    assert image.shape == (30, 40, 3)
+    assert np.abs(image[15, 20].astype(int) - [204, 102, 51]).max() <= 2 and (image[0, 0] == 0).all()
+    assert main(["render", str(run.path), "-o", str(tmp_path / "a.exr"), "--size", "40", "30"]) == 0
+    found = channels(tmp_path / "a.exr")
+    assert {"R", "G", "B", "A", "depth.T", "uvl.U", "uvl.V", "uvl.L", "normal.X", "normal.Y", "normal.Z"} == set(found)
+    assert found["A"][15, 20] > 0.99 and found["normal.Z"][15, 20] > 0.9
+    assert found["R"][15, 20] == pytest.approx(0.604, abs=0.01)
+
+
+def test_a_scene_to_exr_with_its_aovs(make_constant_run, tmp_path):
+    run = make_constant_run(200.0)
+    scene = tmp_path / "scene.xml"
+    scene.write_text(SCENE.read_text().replace('<integrator type="$integrator"/>',
+                     '<integrator type="$integrator"><string name="aovs" value="depth,opacity"/></integrator>'))
+    out = tmp_path / "b.exr"
+    arguments = ["-D", f"run={run.path}", "-D", "origin=0, 0, 2", "-D", "target=0, 0, 0", "--frame", "1", "--size", "24", "20"]
+    assert main(["render", str(scene), "-o", str(out), *arguments]) == 0
+    found = channels(out)
+    assert found["depth.T"].shape == (20, 24) and found["opacity.A"].max() > 0.99
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["nowhere", "-o", "x.png"], "no such file"),
+    (["RUN", "-o", "x.jpg"], ".exr or .png"),
+    (["RUN", "-o", "x.png", "--frame", "9"], "9"),
+    (["RUN", "-o", "x.png", "--size", "0", "4"], "--size"),
+    (["RUN", "-o", "x.png", "--spp", "4"], "--spp"),
+    (["RUN", "-o", "x.png", "--camera", "c0"], "--capture"),
+    ([str(SCENE), "-o", "x.png", "-D", "run"], "NAME=VALUE"),
+    ([str(SCENE), "-o", "x.png", "-D", "run=nowhere"], "nowhere"),
+    ([str(SCENE), "-o", "x.png", "-D", "run=RUN", "-D", "colour=red"], "colour"),
+    ([str(SCENE), "-o", "x.png", "-D", "run=RUN", "--frame", "7"], "7"),
+])
+def test_mistakes_are_told_with_exit_code_2(make_run, tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    make_run("RUN")
+    assert main(["render", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error and "Traceback (most recent call last)" not in error.splitlines()[0]
+    assert not list(tmp_path.glob("x.*"))
+
+
+def test_optimise_and_resume(capture, tmp_path, capsys):
+    out = str(tmp_path / "run")
+    options = ["--preset", "tiny", "--steps", "3", "--option", "rays=64", "--option", "samples=8", "--option", "density_layers=[8]"]
+    assert main(["optimise", str(capture.path), "-o", out, *options]) == 0
+    assert "3 steps" in capsys.readouterr().out
+    assert main(["optimise", str(capture.path), "-o", out, "--resume"]) == 0
+    assert main(["optimise", str(capture.path), "-o", out, *options]) == 2
+    assert "--resume" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--preset", "huge"], "fast"),
+    (["--option", "colour=3"], "NAME one of"),
+    (["--option", "band=wide"], "a number such as"),
+    (["--option", "density_layers=64"], "a list of whole numbers"),
+    (["--resume", "--steps", "5"], "--resume"),
+    (["--steps", "0"], "steps"),
+])
+def test_optimises_mistakes(capture, tmp_path, capsys, arguments, words):
+    assert main(["optimise", str(capture.path), "-o", str(tmp_path / "run"), *arguments]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
