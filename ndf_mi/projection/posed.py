@@ -88,7 +88,7 @@ class PosedSurface:
     def near(self, x: mi.Point3f) -> mi.Bool:
         """False only where |l| > band for certain; reads one cell."""
         with dr.suspend_grad():
-            return self._cells.near(dr.detach(x))
+            return self._cells.near(mi.Point3f(dr.detach(x)))
 
     def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> mi.UInt32:
         """Number of the closest triangle, detached; 0 in lanes that are inactive or farther away than the band."""
@@ -105,7 +105,7 @@ class PosedSurface:
         active = mi.Bool(active)
         corner = [dr.gather(mi.UInt32, surface.faces, 3 * triangle + k, active) for k in range(3)]
         v0, v1, v2 = (dr.gather(mi.Point3f, self.vertices, c, active) for c in corner)
-        x = dr.select(active, x, 0)
+        x = dr.select(active, mi.Point3f(x), 0)
         local = closest_on_triangle(x, v0, v1, v2)
         weights = local.barycentric
         with dr.suspend_grad():
@@ -148,7 +148,7 @@ class PosedSurface:
     def _closest(self, x: mi.Point3f, active: mi.Bool | bool) -> tuple[mi.UInt32, mi.Bool]:
         """The closest triangle, 0 where there is none; and whether there is one."""
         with dr.suspend_grad():
-            x = dr.detach(x)
+            x = mi.Point3f(dr.detach(x))
             cell, inside = self._cells.locate(x)
             active = mi.Bool(active) & inside
             if dr.flag(dr.JitFlag.SymbolicScope) or dr.width(x) < SORTED:

@@ -98,6 +98,90 @@ def test_inside_a_medium_under_volpath(mesh: Any) -> None:
     np.testing.assert_allclose(rows[valid, 4:6][same], np.asarray(p.uv).T[valid][same], atol=1e-5)
 
 
+def test_gradient_reaches_the_vertices_inside_a_medium(mesh: Any) -> None:
+    """The transmittance of an absorbing band, as the body grows: `prbvolpath` against a quadrature with 300 steps."""
+    surface, band, size, opaque = mesh.surface(), 0.15, 8, 8.4
+    start = mi.Float(mesh.vertices.astype(np.float32).ravel())
+
+    def absorption(posed: Any, x: mi.Point3f, active: mi.Bool | bool) -> mi.Float:
+        p = posed.project(x, active)
+        return dr.select(p.valid, 8 * dr.square(1 - dr.square(p.l / band)), 0)
+
+    class Absorber(mi.Medium):
+        def __init__(self, props: mi.Properties) -> None:
+            super().__init__(props)
+            self.m_is_homogeneous = False
+            self.m_has_spectral_extinction = False
+            self.vertices = mi.Float(start)
+            dr.make_opaque(self.vertices)
+            self.posed = surface.pose(self.vertices, band)
+
+        def traverse(self, callback: Any) -> None:
+            callback.put("vertices", self.vertices, mi.ParamFlags.Differentiable)
+
+        def parameters_changed(self, keys: list[str]) -> None:
+            self.posed = surface.pose(self.vertices, band)
+
+        def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
+            return self.posed.bbox.ray_intersect(ray)
+
+        def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.Color3f:
+            return mi.Color3f(opaque)
+
+        def get_scattering_coefficients(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> tuple:
+            sigma = mi.Color3f(absorption(self.posed, mei.p, active))
+            return mi.Color3f(0), opaque - sigma, sigma
+
+    mi.register_medium("projection_absorber", Absorber)
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "prbvolpath", "max_depth": 4, "rr_depth": 100},
+            "sensor": {
+                "type": "perspective",
+                "fov": 40,
+                "to_world": mi.ScalarTransform4f().look_at([0, 0.3, 3], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
+            },
+            "light": {"type": "constant"},
+            "shell": {
+                "type": "cube",
+                "to_world": mi.ScalarTransform4f().scale(0.95),
+                "bsdf": {"type": "null"},
+                "interior": {"type": "projection_absorber"},
+            },
+        }
+    )
+    parameters = mi.traverse(scene)
+    key = "shell.interior_medium.vertices"
+    scale = mi.Float(1)
+    dr.enable_grad(scale)
+    parameters[key] = start * scale
+    parameters.update()
+    image = mi.render(scene, parameters, spp=2048, seed=1)
+    dr.backward(dr.mean(image.array))
+    found = float(dr.grad(scale)[0])
+
+    side, steps, first, last = 64, 300, 1.5, 4.5
+    pixel = dr.arange(mi.UInt32, side * side)
+    film = (mi.Point2f(mi.Float(pixel % side), mi.Float(pixel // side)) + 0.5) / side
+    rays, _ = scene.sensors()[0].sample_ray(0.0, 0.0, film, mi.Point2f(0.5))
+    index = dr.arange(mi.UInt32, side * side * steps)
+    length = (last - first) / steps
+    t = first + (mi.Float(index % steps) + 0.5) * length
+    along = dr.gather(mi.Vector3f, rays.d, index // steps) * t
+    x = dr.gather(mi.Point3f, rays.o, index // steps) + along
+
+    scale = mi.Float(1)
+    dr.enable_grad(scale)
+    sigma = absorption(surface.pose(start * scale, band), x, dr.all(dr.abs(x) < 0.95))
+    transmittance = dr.mean(dr.exp(-dr.block_sum(sigma, steps) * length))
+    dr.backward(transmittance)
+    assert abs(float(np.asarray(image).mean()) - float(transmittance[0])) < 0.01
+    expected = float(dr.grad(scale)[0])
+    assert expected < -0.3 and abs(found - expected) < 0.08 * abs(expected), (found, expected)
+
+
 def test_a_new_pose_compiles_nothing(mesh: Any, scatter: Callable, points: Callable) -> None:
     surface = mesh.surface()
 
