@@ -13,6 +13,10 @@ from ndf_mi.projection import PosedSurface, Surface
 from ndf_mi.render.quadrature import FieldSample
 
 
+_LONE = 1 << 31
+"""Bit of a handle: the sample is one of the few that are evaluated in an empty cell. Triangles are fewer than this."""
+
+
 class Model:
     """A neural deformable field around a body, before a pose is given.
 
@@ -71,17 +75,23 @@ class PosedModel:
         return self.surface.near(x)
 
     def locate(self, x: mi.Point3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """The closest triangle of each point, detached, and whether the point is in the band."""
+        """The closest triangle of each point, detached, and whether the point is in the band; with an occupancy, also whether it is to
+        be evaluated, and in the handle's highest bit whether it stands for others of an empty cell."""
         triangle = self.surface.closest(x, active)
         found = self.surface.project_onto(triangle, x, active)
         keep = found.valid & (found.l >= -self._inside)
-        if self._occupancy is not None:
-            keep &= self._occupancy.keep(self.unit(found.uv, found.l))
-        return triangle, keep
+        if self._occupancy is None:
+            return triangle, keep
+        kept, lone = self._occupancy.keep(self.unit(found.uv, found.l))
+        return triangle | dr.select(lone, mi.UInt32(_LONE), 0), keep & kept
 
     def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: mi.UInt32, active: mi.Bool) -> FieldSample:
         """Density, colour and coordinates at located points through batched networks; attached to x, vertices and weights."""
-        return self._evaluate(x, d, handle, active, fused=False)
+        if self._occupancy is None:
+            return self._evaluate(x, d, handle, active, fused=False)
+        sample = self._evaluate(x, d, handle & (_LONE - 1), active, fused=False)
+        sample.weight = dr.select((handle & _LONE) != 0, 1.0 / self._occupancy.explore, 1.0)
+        return sample
 
     def fused(self, x: mi.Point3f, d: mi.Vector3f, active: mi.Bool | bool = True) -> FieldSample:
         """Density, colour and coordinates at any point, for symbolic code. Density is zero outside the band."""

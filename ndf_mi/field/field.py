@@ -110,15 +110,15 @@ class BoundField:
     def _evaluate(self, run: _Engine, u: Any, d: Any, active: mi.Bool | bool = True) -> tuple[mi.Float, mi.Color3f]:
         p = self.preset
         if p.deformation_layers:
-            h = self._chain(run, "deform", len(p.deformation_layers), run.join(frequency(list(u), p.deformation_octaves)))
+            h = self._chain(run, "deform", len(p.deformation_layers), run.enter(frequency(list(u), p.deformation_octaves)))
             delta = run.rows(run.linear("deform_out", h))
             u = mi.Point3f(*[a + p.deformation_scale * b for a, b in zip(list(u), delta, strict=True)])
 
         encoded = self._encode(u, active)
-        h = x = run.join(encoded)
+        h = run.enter(encoded)
         for i in range(len(p.density_layers)):
             if p.density_skip > 0 and i == p.density_skip:
-                h = run.join(x, h)
+                h = run.enter(encoded, h)
             h = run.relu(run.linear(f"density{i}", h))
         out = run.linear("density_out", h)
         if p.feature_width:
@@ -129,7 +129,7 @@ class BoundField:
 
         for i in range(len(p.colour_linear)):
             h = run.linear(f"linear{i}", h)
-        h = run.join(h, frequency(list(d), p.direction_octaves))
+        h = run.enter(h, frequency(list(d), p.direction_octaves))
         h = self._chain(run, "colour", len(p.colour_layers), h)
         c = mi.Color3f(*run.rows(run.linear("colour_out", h)))
         return sigma, srgb_to_linear(dr.fma(dr.tanh(0.5 * c), 0.5, 0.5))
@@ -171,9 +171,9 @@ def _split(weights: mi.Float, layer: Layer) -> tuple[mi.TensorXf, mi.TensorXf, m
 
 
 class _Engine(Protocol):
-    """What the evaluation needs of a way to run layers: `join` parts, apply a layer, ReLU, and take rows out again."""
+    """What the evaluation needs of a way to run layers: `enter` one with joined parts, apply it, ReLU, and take rows out again."""
 
-    def join(self, *parts: Any) -> Any: ...
+    def enter(self, *parts: Any) -> Any: ...
     def linear(self, name: str, x: Any) -> Any: ...
     def relu(self, x: Any) -> Any: ...
     def rows(self, x: Any) -> list[mi.Float]: ...
@@ -187,7 +187,10 @@ class _Batched:
         self._tensors = tensors
         self._width = width
 
-    def join(self, *parts: Any) -> mi.TensorXf:
+    def enter(self, *parts: Any) -> mi.TensorXf:
+        """Joins rows, and a row of ones below them: with it a layer's bias is a column of its matrix, which costs the product next
+        to nothing, where adding it to every row afterwards costs more than the product."""
+        parts = (*parts, [dr.full(mi.Float, 1.0, self._width)])
         arrays: list[Any] = []
         rows = 0
         for part in parts:
@@ -201,6 +204,8 @@ class _Batched:
 
     def linear(self, name: str, x: mi.TensorXf) -> mi.TensorXf:
         weight, bias = self._tensors[name]
+        if x.shape[0] > weight.shape[1]:
+            return dr.concat([weight, bias], axis=1) @ x
         return weight @ x + bias
 
     def relu(self, x: mi.TensorXf) -> mi.TensorXf:
@@ -223,7 +228,7 @@ class _Fused:
     def __init__(self, views: dict[str, tuple[Any, Any]]) -> None:
         self._views = views
 
-    def join(self, *parts: Any) -> Any:
+    def enter(self, *parts: Any) -> Any:
         return nn.CoopVec(*[entry for part in parts for entry in part])
 
     def linear(self, name: str, x: Any) -> Any:

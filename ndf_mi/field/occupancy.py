@@ -7,11 +7,16 @@ import mitsuba as mi
 import numpy as np
 
 
+_UNTIL_EMPTY = 150
+"""Steps after which a cell that no sample has come to counts as empty."""
+
+
 class Occupancy:
     """A coarse grid over the unit cube of (u, v, l) with a decaying maximum of the densities seen in each cell, over all poses
     (after Müller et al. 2022, there over world space).
 
-    A share of the samples in empty cells is kept nevertheless, so that a cell that becomes dense is noticed.
+    A share p of the samples in empty cells is kept nevertheless, so that a cell that becomes dense is noticed; each stands for those
+    that are left out, by counting 1/p times its density: optical depths keep their mean, and thin fog still fades.
 
     Args:
         threshold: densities in 1/m below which a cell counts as empty.
@@ -21,22 +26,23 @@ class Occupancy:
     """
 
     def __init__(self, threshold: float, resolution: tuple[int, int, int] = (128, 128, 24), decay: float = 0.99,
-                 explore: float = 0.1) -> None:
+                 explore: float = 0.125) -> None:
         self._threshold = threshold
         self._resolution = resolution
         self._decay = decay
-        self._explore = explore
+        self.explore = explore
         self._salt = 0
-        # Everything starts occupied, and stays so for the first hundred steps or so even where no sample comes.
-        self.values = dr.full(mi.Float, threshold / decay**100, int(np.prod(resolution)))
+        # Everything starts occupied, and stays so for the first steps even where no sample comes.
+        self.values = dr.full(mi.Float, threshold / decay**_UNTIL_EMPTY, int(np.prod(resolution)))
         dr.make_opaque(self.values)
 
-    def keep(self, u: mi.Point3f) -> mi.Bool:
-        """Which points of the unit cube to evaluate: those in occupied cells, and a random few of the others."""
+    def keep(self, u: mi.Point3f) -> tuple[mi.Bool, mi.Bool]:
+        """Which points of the unit cube to evaluate: those in occupied cells and a random few of the others; and which are of the
+        latter."""
         with dr.suspend_grad():
             occupied = dr.gather(mi.Float, self.values, self._cell(u)) > self._threshold
             chance = mi.sample_tea_float32(dr.arange(mi.UInt32, dr.width(u)), dr.opaque(mi.UInt32, self._salt))
-            return occupied | (chance < self._explore)
+            return occupied | (chance < self.explore), ~occupied
 
     def observe(self, u: mi.Point3f, sigma: mi.Float, active: mi.Bool) -> None:
         """Takes in the densities of a step's samples."""

@@ -25,9 +25,9 @@ from ndf_mi.run import Run
 
 STATE = "state.safetensors"
 _SMOOTHING = 0.98
-_MARGIN = 1.35
+_MARGIN = 1.2
 """Room for steps with more samples than those before: outgrown, all kernels of that size are compiled anew."""
-_SETTLE = (192, 256, 768, 1024, 3072, 4096)
+_SETTLE = (192, 256, 448, 512, 960, 1024, 3008, 3072)
 """Steps before which array sizes are fitted to what is needed by then; each time, some kernels may be compiled anew. In pairs: the
 first of a pair only starts the count."""
 
@@ -67,8 +67,8 @@ class Trainer:
         self._table = None
         if field.grid is not None:
             self._table = mi.ad.Adam(lr=options.grid_rate, params={"grid": field.grid}, mask_updates=True, epsilon=1e-15)
-        # One percent of opacity over a centimetre; training starts above it.
-        self._occupancy = Occupancy(threshold=1.0) if options.skip_empty else None
+        # Two percent of opacity over a centimetre; what is never seen stays as thin as training starts, just below it.
+        self._occupancy = Occupancy(threshold=2.0) if options.skip_empty else None
         self._step = 0
         self._seconds = 0.0
         self._error = float("nan")

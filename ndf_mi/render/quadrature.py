@@ -19,12 +19,14 @@ from ndf_mi.render.sampling import Compaction, box_interval, stratified
 
 @dataclass
 class FieldSample:
-    """A field at K points. `sigma` in 1/m, `colour` linear; `u` is (u*, v*) and the signed distance l in metres; `normal` unit."""
+    """A field at K points. `sigma` in 1/m, `colour` linear; `u` is (u*, v*) and the signed distance l in metres; `normal` unit;
+    `weight` how many samples each stands for, where some were left out at random, else None."""
 
     sigma: mi.Float
     colour: mi.Color3f
     u: mi.Point3f
     normal: mi.Normal3f
+    weight: mi.Float | None = None
 
 
 class VolumeField(Protocol):
@@ -128,7 +130,7 @@ def quadrature(
         """Back to one lane a candidate; zero where nothing was evaluated."""
         return _scatter(value, index, real, lanes)
 
-    tau = spread(sample.sigma) * delta
+    tau = spread(sample.sigma if sample.weight is None else sample.sigma * sample.weight) * delta
     weight = dr.exp(-dr.block_prefix_sum(tau, samples, exclusive=True)) * -expm1(-tau)
 
     def expect(value: mi.Float) -> mi.Float:

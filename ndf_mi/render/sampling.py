@@ -75,7 +75,7 @@ class Compaction:
     def settle(self) -> None:
         """Shrinks the size to what the calls since the last settling needed, if that is much less."""
         needed = max(self._padded(self._largest), QUANTUM)
-        if self._largest and needed < 0.8 * self.size:
+        if self._largest and needed < 0.9 * self.size:
             self.size = needed
         self._largest = 0
 
