@@ -12,7 +12,6 @@ from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.projection import PosedSurface, Surface
 from ndf_mi.render.quadrature import FieldSample
 
-
 _LONE = 1 << 31
 """Bit of a handle: the sample is one of the few that are evaluated in an empty cell. Triangles are fewer than this."""
 

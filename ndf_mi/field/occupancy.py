@@ -6,7 +6,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-
 _UNTIL_EMPTY = 150
 """Steps after which a cell that no sample has come to counts as empty."""
 

@@ -155,7 +155,9 @@ def test_presets_go_through_dictionaries():
         assert Preset.from_dict(value.to_dict()) == value
 
 
-@pytest.mark.parametrize(("change", "word"), [({"band": -1.0}, "band"), ({"encoding": "sphere"}, "encoding"), ({"density_layers": ()}, "density")])
+@pytest.mark.parametrize(
+    ("change", "word"), [({"band": -1.0}, "band"), ({"encoding": "sphere"}, "encoding"), ({"density_layers": ()}, "density")]
+)
 def test_wrong_options_are_named(change, word):
     with pytest.raises(InputError, match=word):
         dataclasses.replace(preset("fast"), **change)
