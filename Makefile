@@ -7,7 +7,7 @@ setup:
 	@sh tools/setup.sh
 
 test: setup
-	$(bin)/python -m pytest -q -m "not slow"
+	$(bin)/python -m pytest -q
 
 demo: setup
 	$(bin)/ndf-mi demo -o demo

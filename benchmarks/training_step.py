@@ -1,6 +1,6 @@
 """How long a training step takes once warm, and whether it compiles anything.
 
-    python benchmarks/training_step.py CAPTURE --warm 1100 --steps 200
+    python benchmarks/training_step.py [CAPTURE] --warm 1100 --steps 200
 
 Trains a fresh field in a temporary folder, at the steps' default size (1,024 rays of 64 candidate samples; projection, networks,
 gradients and Adam's update included), and prints the median, the quartiles and the number of kernels compiled while timing.
@@ -27,6 +27,8 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
 from ndf_mi.capture.capture import Capture  # noqa: E402
+from ndf_mi.capture.synthesise.plan import SIZES  # noqa: E402
+from ndf_mi.capture.synthesise.synthesise import synthesise  # noqa: E402
 from ndf_mi.field import preset  # noqa: E402
 from ndf_mi.learn.loop import start  # noqa: E402
 from ndf_mi.learn.options import TrainingOptions  # noqa: E402
@@ -37,8 +39,8 @@ from ndf_mi.learn.trainer import Trainer  # noqa: E402
 class Options:
     """What is measured."""
 
-    capture: Annotated[Path, tyro.conf.Positional]
-    """A capture's folder."""
+    capture: Annotated[Path | None, tyro.conf.Positional] = None
+    """A capture's folder; without one, the demo's small capture is made in a temporary folder."""
 
     preset: str = "fast"
     """Architecture."""
@@ -55,8 +57,9 @@ class Options:
 
 def main(options: Options) -> None:
     """Measures and prints."""
-    capture = Capture.read(options.capture)
     with tempfile.TemporaryDirectory() as folder:
+        source = options.capture or synthesise(Path(folder) / "capture", SIZES["quick"])
+        capture = Capture.read(source)
         trainer = start(Path(folder) / "run", capture, preset(options.preset), TrainingOptions(steps=options.warm + options.steps))
         print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, capture {capture.name}, "
               f"preset {options.preset}: {trainer.options.rays} rays of {trainer.options.samples} candidates")

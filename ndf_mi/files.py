@@ -12,21 +12,34 @@ from typing import Any
 
 import numpy as np
 
+from ndf_mi.errors import InputError
+
+_UMASK = os.umask(0)
+os.umask(_UMASK)
+
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yields a temporary path beside ``path``, with the same suffix; renames it to ``path`` if the block succeeds.
 
     On an exception the temporary file is removed and ``path`` stays as it was. Missing parent folders are made.
+
+    Raises:
+        InputError: there can be no such file: its folder cannot be made or written, or it is a folder itself.
     """
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+    try:
+        if target.is_dir():
+            raise IsADirectoryError("it is a folder")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+    except OSError as error:
+        raise InputError(target, f"a place that cannot be written ({error})", "a file's name in a folder that can be written") from None
     os.close(handle)
     beside = Path(name)
     try:
         yield beside
-        beside.chmod(0o666 & ~_umask())
+        beside.chmod(0o666 & ~_UMASK)
         os.replace(beside, target)
     finally:
         beside.unlink(missing_ok=True)
@@ -49,7 +62,3 @@ def write_npz(path: str | os.PathLike[str], **arrays: np.ndarray) -> None:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current

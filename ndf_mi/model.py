@@ -9,8 +9,8 @@ from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.field import Field, Preset
 from ndf_mi.field.occupancy import Occupancy
+from ndf_mi.field.sample import FieldSample
 from ndf_mi.projection import PosedSurface, Surface
-from ndf_mi.render.quadrature import FieldSample
 
 _LONE = 1 << 31
 """Bit of a handle: the sample is one of the few that are evaluated in an empty cell. Triangles are fewer than this."""
@@ -38,15 +38,6 @@ class Model:
     def band(self) -> float:
         """The band's half width δ_N in metres."""
         return self.field.preset.band
-
-    def pose(self, vertices: mi.Float, pose: mi.Float) -> PosedModel:
-        """The field around a posed body.
-
-        Args:
-            vertices: flat (3·V) world positions; may carry gradients.
-            pose: flat (3·J) axis-angles, the root's three zero; may carry gradients.
-        """
-        return PosedModel(self.field, self.surface.pose(vertices, self.band), pose)
 
 
 class PosedModel:
@@ -110,6 +101,7 @@ class PosedModel:
         l = dr.select(active, found.l, 0.0)
         uv = dr.select(active, found.uv, 0.0)
         u = self.unit(uv, l)
+        d = dr.select(active, d, mi.Vector3f(0.0, 0.0, 1.0))
         sigma, colour = self.bound.fused(u, d, active) if fused else self.bound.batched(u, d)
         if self._fade > 0:
             for depth in ((self._band - l) / self._band, (self._inside + l) / self._inside):

@@ -104,6 +104,7 @@ class Run:
 
     def save(self) -> None:
         """Writes the run; each file whole or not at all, ``config.json`` last."""
+        json.dumps(self.config, allow_nan=False)  # before anything is written
         self.body.write(self.path / "body.npz")
         self.poses.write(self.path / "poses.npz")
         self.save_field()
@@ -156,6 +157,8 @@ def _read_config(path: Path) -> dict[str, Any]:
     for key, kind in (("preset", dict), ("seed", int), ("background", list)):
         if not isinstance(config.get(key), kind):
             raise InputError(f"{path}: {key}", repr(config.get(key)), f"a {kind.__name__}")
+    if config["seed"] < 0:
+        raise InputError(f"{path}: seed", str(config["seed"]), "a whole number from 0 on")
     if len(config["background"]) != 3 or not all(isinstance(v, (int, float)) and 0 <= v <= 1 for v in config["background"]):
         raise InputError(f"{path}: background", repr(config["background"]), "three numbers in [0, 1]")
     return config

@@ -35,7 +35,7 @@ def register() -> None:
         --------------------------------------------------------------------------------
 
         Renders the scene's ``ndf`` medium by the paper's equation, L = Σ T_i (1 − exp(−σ_i δ_i)) c_i, and the scene's environment
-        emitter behind it. Deterministic and noise-free by default.
+        emitter behind it. Nothing is random by default but the sampler's places of rays in their pixels.
 
         .. pluginparameters::
 
@@ -124,7 +124,7 @@ def register() -> None:
 
 def _performer(scene: mi.Scene) -> PosedModel:
     """The one ``ndf`` medium among the interiors of the scene's shapes."""
-    found = []
+    found: list[Any] = []
     for shape in scene.shapes():
         medium = shape.interior_medium()
         if hasattr(medium, "posed") and not any(medium is other for other in found):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.errors import InputError
 from ndf_mi.plugins.ndf import find_run, frame_of
 from ndf_mi.render.shell import band_shell
 from ndf_mi.run import Run
@@ -38,6 +39,10 @@ def make_shell(props: mi.Properties) -> mi.Mesh:
     run = Run.load(find_run(props["run"]))
     row = run.poses.index(frame_of(run, props))
     cell = float(props.get("cell", 0.02))
+    if not cell > 0:
+        raise InputError("ndf_shell: cell", repr(cell), "a length above 0, in metres")
+    if "to_world" in props:
+        raise InputError("ndf_shell: to_world", "a transformation", "none: the shell is where the performer is")
     vertices, faces = band_shell(run.model.surface, mi.Float(run.poses.vertices[row].ravel()), run.model.band, cell)
     mesh = mi.Mesh("ndf_shell", len(vertices), len(faces), props=props)
     params = mi.traverse(mesh)

@@ -52,8 +52,8 @@ def make_run(tmp_path: Path) -> Callable[..., Run]:
     from ndf_mi.field import preset
     from ndf_mi.run import Run
 
-    def make(name: str = "run", seed: int = 1, **changes: Any) -> Run:
-        body, poses = ball()
+    def make(name: str = "run", seed: int = 1, frames: int = 3, **changes: Any) -> Run:
+        body, poses = ball(frames)
         run = Run.create(tmp_path / name, dataclasses.replace(preset("tiny"), **changes), body, poses, seed, background=[0.0, 0.0, 0.0])
         run.save()
         return run

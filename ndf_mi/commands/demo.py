@@ -19,7 +19,7 @@ class Demo:
     """The folder for the capture, the run and the report."""
 
     seconds: float = 180.0
-    """Time to train the field for, and at least as long the mesh."""
+    """Time to train the field for; a field that an earlier call has begun keeps what it was begun with."""
 
     seed: int = 0
     """Of the capture, the training and the comparison."""
@@ -33,9 +33,10 @@ class Demo:
 
         started = time.perf_counter()
         capture, run = self.out / "capture", self.out / "run"
-        if not (capture / "capture.json").exists() or problems(capture):
+        damaged = (capture / "capture.json").exists() and bool(problems(capture))
+        if damaged or not (capture / "capture.json").exists():
             _say(f"1/3  a capture of a synthetic performer: {capture}")
-            CaptureSynthesise(out=capture, size="quick", seed=self.seed).run()
+            CaptureSynthesise(out=capture, size="quick", seed=self.seed, overwrite=damaged).run()
         if (run / "config.json").exists():
             _say(f"2/3  going on with the field: {run}")
             Optimise(capture=capture, out=run, resume=True).run()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -31,7 +30,7 @@ class Render:
     """Width and height in pixels; by default the scene's or the camera's own, 512 × 512 for a run without --capture."""
 
     spp: int | None = None
-    """Scene: samples a pixel, by default the scene's own."""
+    """Samples a pixel: by default the scene's own; for a run 1, through pixels' centres."""
 
     samples: int = 128
     """Run: candidate samples a ray."""
@@ -58,6 +57,12 @@ class Render:
         check_suffix(self.out)
         if self.size is not None and min(self.size) < 1:
             raise InputError("--size", f"{self.size[0]} {self.size[1]}", "two whole numbers above 0")
+        if self.samples < 1:
+            raise InputError("--samples", str(self.samples), "a whole number above 0")
+        if self.spp is not None and self.spp < 1:
+            raise InputError("--spp", str(self.spp), "a whole number above 0")
+        if not -90 < self.elevation < 90:
+            raise InputError("--elevation", str(self.elevation), "degrees between -90 and 90")
         if self.source.is_dir():
             self._run()
         elif self.source.is_file():
@@ -74,9 +79,8 @@ class Render:
         from ndf_mi.render.output import write_exr, write_png
         from ndf_mi.run import Run
 
-        for name, given in (("--spp", self.spp is not None), ("--define", bool(self.define))):
-            if given:
-                raise InputError(name, "it together with a run", "it only with a scene", "For a run, see --samples.")
+        if self.define:
+            raise InputError("--define", "it together with a run", "it only with a scene")
         run = Run.load(self.source)
         frame = int(run.poses.frames[0]) if self.frame is None else self.frame
         row = run.poses.index(frame)
@@ -87,13 +91,11 @@ class Render:
             camera = cameras[self.camera]
             if self.size is not None:
                 camera = camera.scaled(*self.size)
-                if not camera.is_pinhole:
-                    camera = dataclasses.replace(camera, distortion=(0.0,) * 5)
         elif self.camera is not None:
             raise InputError("--camera", self.camera, "--capture beside it, or --azimuth and --elevation instead")
         else:
             camera = framing(run.poses.vertices[row], *(self.size or (512, 512)), self.azimuth, self.elevation)
-        image = ImageRenderer(self.samples)(run.posed(frame), camera, geometry=self.out.suffix.lower() == ".exr")
+        image = ImageRenderer(self.samples, spp=self.spp or 1)(run.posed(frame), camera, geometry=self.out.suffix.lower() == ".exr")
         if image.u is None or image.normal is None:
             write_png(self.out, image.over(run.background))
             return
@@ -106,8 +108,10 @@ class Render:
         from ndf_mi.render.output import write_exr, write_png
         from ndf_mi.render.scene import load_scene, render_scene
 
-        if self.capture is not None:
-            raise InputError("--capture", "it together with a scene", "it only with a run")
+        mine = {"capture": None, "samples": 128, "azimuth": 0.0, "elevation": 5.0}
+        for name, default in mine.items():
+            if getattr(self, name) != default:
+                raise InputError(f"--{name}", "it together with a scene", "it only with a run")
         parameters = {}
         for text in self.define:
             name, equals, value = text.partition("=")

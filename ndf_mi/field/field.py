@@ -72,7 +72,6 @@ class BoundField:
         for i in range(len(self.preset.pose_layers)):
             weight, bias, _ = _split(field.weights, self._layers[f"pose{i}"])
             features = dr.maximum(weight @ features + bias, 0)
-        self.features = features
         self._tensors: dict[str, tuple[mi.TensorXf, mi.TensorXf]] = {}
         for name, layer in self._layers.items():
             if not name.startswith("pose"):

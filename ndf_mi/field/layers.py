@@ -21,7 +21,6 @@ class Layer:
     pose: int
     """Width of the pose features that are joined, or 0."""
     outputs: int
-    relu: bool
     offset: int = 0
     """Where the (outputs, inputs + pose) matrix starts in the flat vector, row by row; the bias follows it."""
 
@@ -39,9 +38,9 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
     """
     layers: list[Layer] = []
 
-    def add(name: str, inputs: int, pose: int, outputs: int, relu: bool = True) -> int:
+    def add(name: str, inputs: int, pose: int, outputs: int) -> int:
         offset = layers[-1].offset + layers[-1].size if layers else 0
-        layers.append(Layer(name, inputs, pose, outputs, relu, offset))
+        layers.append(Layer(name, inputs, pose, outputs, offset))
         return outputs
 
     width = 3 * joints
@@ -53,23 +52,23 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
         width = frequency_width(3, preset.deformation_octaves)
         for i, w in enumerate(preset.deformation_layers):
             width = add(f"deform{i}", width, pose if i == 0 else 0, w)
-        add("deform_out", width, 0, 3, relu=False)
+        add("deform_out", width, 0, 3)
 
     encoded = frequency_width(3, preset.octaves) if preset.encoding == "frequency" else preset.grid_levels * preset.grid_features
     width = encoded
     for i, w in enumerate(preset.density_layers):
         joined = preset.density_skip > 0 and i == preset.density_skip
         width = add(f"density{i}", width + (encoded if joined else 0), pose if i == 0 or joined else 0, w)
-    add("density_out", width, 0, 1 + preset.feature_width, relu=False)
+    add("density_out", width, 0, 1 + preset.feature_width)
 
     width = preset.feature_width or width
     for i, w in enumerate(preset.colour_linear):
-        width = add(f"linear{i}", width, pose if i == 1 else 0, w, relu=False)
+        width = add(f"linear{i}", width, pose if i == 1 else 0, w)
     joined_pose = pose if not preset.colour_linear else 0
     width += frequency_width(3, preset.direction_octaves)
     for i, w in enumerate(preset.colour_layers):
         width = add(f"colour{i}", width, joined_pose if i == 0 else 0, w)
-    add("colour_out", width, 0, 3, relu=False)
+    add("colour_out", width, 0, 3)
     return {layer.name: layer for layer in layers}
 
 

@@ -58,7 +58,9 @@ class Occupancy:
         return float(dr.mean(dr.select(self.values > self._threshold, mi.Float(1), mi.Float(0)))[0])
 
     def restore(self, values: np.ndarray, step: int) -> None:
-        """Sets the cells' values and the number of steps seen."""
+        """Sets the cells' values and the number of steps seen; ValueError if there are not as many values as cells."""
+        if values.shape != (int(np.prod(self._resolution)),):
+            raise ValueError(f"{values.shape} occupancy values")
         self.values = mi.Float(values.astype(np.float32))
         self._salt = step
 

@@ -47,7 +47,11 @@ class Preset:
     """Octaves of γ on ũ (`frequency` only)."""
 
     grid_levels: int = 8
+    """Levels of the hash grid (`grid` only)."""
+
     grid_features: int = 2
+    """Features an entry, an even number (`grid` only)."""
+
     grid_entries: int = 2**16
     """Entries a level of the hash table at most (`grid` only)."""
 
@@ -90,23 +94,32 @@ class Preset:
     """Added to the network's output before the activation (`softplus` only); it sets how thin the field starts."""
 
     def __post_init__(self) -> None:
-        for key in ("band", "density_limit", "density_gain"):
-            if not getattr(self, key) > 0:
-                raise InputError(f"preset option {key}", repr(getattr(self, key)), "a number above 0")
-        if not 0 < self.band_inside <= self.band:
-            raise InputError("preset option band_inside", repr(self.band_inside), f"a number above 0, at most the band's {self.band}")
-        if not 0 <= self.band_fade < 1:
-            raise InputError("preset option band_fade", repr(self.band_fade), "a fraction in [0, 1)")
+        def check(good: bool, key: str, expected: str) -> None:
+            if not good:
+                raise InputError(f"preset option {key}", repr(getattr(self, key)), expected)
+
+        for key in ("band", "density_limit", "density_gain", "grid_l_scale"):
+            check(0 < getattr(self, key) < float("inf"), key, "a number above 0")
+        for key in ("density_bias", "deformation_scale"):
+            check(abs(getattr(self, key)) < float("inf"), key, "a number")
+        check(0 < self.band_inside <= self.band, "band_inside", f"a number above 0, at most the band's {self.band}")
+        check(0 <= self.band_fade < 1, "band_fade", "a fraction in [0, 1)")
+        for key in ("deformation_octaves", "octaves", "direction_octaves", "feature_width"):
+            check(0 <= getattr(self, key) <= 1024, key, "a whole number from 0 to 1024")
         for key in ("pose_layers", "deformation_layers", "density_layers", "colour_layers", "colour_linear"):
             widths = getattr(self, key)
-            if not all(isinstance(w, int) and w > 0 for w in widths) or (not widths and key in ("pose_layers", "density_layers")):
-                raise InputError(f"preset option {key}", repr(widths), "a list of widths above 0")
-        for key, allowed in (("encoding", ("frequency", "grid")), ("density_activation", ("relu", "softplus"))):
-            if getattr(self, key) not in allowed:
-                raise InputError(f"preset option {key}", repr(getattr(self, key)), " or ".join(allowed))
-        if self.grid_levels < 2 or self.grid_finest <= self.grid_base:
-            raise InputError("preset option grid_levels, grid_finest", f"{self.grid_levels}, {self.grid_finest}",
-                             "at least 2 levels, and a finest resolution above the base")
+            needed = key in ("pose_layers", "density_layers")
+            check(all(type(w) is int and w > 0 for w in widths) and bool(widths or not needed), key, "a list of widths above 0")
+        check(len(self.colour_linear) != 1, "colour_linear", "no layers, or at least two: the pose joins at the second")
+        check(0 <= self.density_skip < len(self.density_layers), "density_skip",
+              f"0, or a number below the {len(self.density_layers)} density layers")
+        check(self.encoding in ("frequency", "grid"), "encoding", "frequency or grid")
+        check(self.density_activation in ("relu", "softplus"), "density_activation", "relu or softplus")
+        check(2 <= self.grid_levels <= 32, "grid_levels", "a whole number from 2 to 32")
+        check(self.grid_features in (2, 4, 8), "grid_features", "2, 4 or 8")
+        check(self.grid_entries > 0 and self.grid_entries % self.grid_features == 0, "grid_entries", "a multiple of grid_features")
+        check(self.grid_base >= 2, "grid_base", "a whole number from 2 on")
+        check(self.grid_finest > self.grid_base, "grid_finest", f"a whole number above grid_base, {self.grid_base}")
 
     def to_dict(self) -> dict[str, Any]:
         """The options as JSON-ready values."""
@@ -119,7 +132,15 @@ class Preset:
         unknown = sorted(set(values) - known)
         if unknown:
             raise InputError(where, f"the option {unknown[0]!r}", "one of " + ", ".join(sorted(known)))
-        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+        cleaned: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        for key, value in cleaned.items():
+            kind = type(getattr(PRESETS["fast"], key))
+            if not isinstance(value, kind) and not (kind is float and isinstance(value, int)):
+                raise InputError(f"{where}: {key}", repr(value), f"a {kind.__name__}")
+        try:
+            return cls(**cleaned)
+        except InputError as error:
+            raise InputError(f"{where}: {error.where}", error.found, error.expected) from None
 
 
 PRESETS: dict[str, Preset] = {

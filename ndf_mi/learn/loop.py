@@ -6,9 +6,12 @@ import json
 import math
 import os
 import platform
+import signal
 import sys
+import threading
 import time
 from pathlib import Path
+from typing import Any, TextIO
 
 import drjit as dr
 import mitsuba as mi
@@ -34,7 +37,9 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
         InputError: the folder holds something.
     """
     folder = Path(path)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    # A run that was stopped while it was first written has no config.json yet.
+    unfinished = {"body.npz", "poses.npz", "field.safetensors"}
+    if folder.exists() and (not folder.is_dir() or {file.name for file in folder.iterdir()} - unfinished):
         raise InputError(folder, "something there already", "a new or empty folder",
                          "Go on with what is there by --resume, or take another folder.")
     run = Run.create(
@@ -59,24 +64,37 @@ def resume(path: str | os.PathLike[str], capture: Capture) -> Trainer:
     run = Run.load(path)
     config = run.path / "config.json"
     expect_capture(run, capture)
-    options = TrainingOptions.from_dict(run.config.get("training", {}), f"{config}: training")
+    training = run.config.get("training")
+    if not isinstance(training, dict):
+        raise InputError(f"{config}: training", repr(training), "the options it was started with")
+    options = TrainingOptions.from_dict(training, f"{config}: training")
     trainer = Trainer(run, capture, options)
     if (run.path / STATE).exists():
         trainer.restore()
+    elif (run.path / "metrics.jsonl").exists():
+        raise InputError(run.path / STATE, "no such file", "the training state to go on from",
+                         "The run can be rendered, but not trained further: start another.")
     _truncate_log(run.path / "metrics.jsonl", trainer.progress.step)
     return trainer
 
 
 def expect_capture(run: Run, capture: Capture) -> None:
     """Raises InputError unless `run` was trained on `capture`."""
-    known = run.config.get("capture", {})
+    known = run.config.get("capture")
+    known = known if isinstance(known, dict) else {}
     if known.get("digest") != capture.digest:
         raise InputError(capture.path, f"the capture {capture.name!r} (digest {capture.digest[:12]})",
                          f"the one that {run.path} was trained on, {known.get('name')!r} (digest {str(known.get('digest'))[:12]})")
 
 
 def train(trainer: Trainer, quiet: bool = False) -> None:
-    """Trains to the end, or until interrupted: then the state is saved and KeyboardInterrupt goes on up."""
+    """Trains to the end, or until SIGINT or SIGTERM: then the step under way is finished, the state saved, and KeyboardInterrupt
+    raised. Whatever else goes wrong, the last checkpoint stays.
+
+    Raises:
+        KeyboardInterrupt: stopped by a signal.
+        InputError: the image error is no longer finite.
+    """
     folder = trainer.run.path
     options = trainer.options
     saved = time.perf_counter()
@@ -84,12 +102,17 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
                TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
     board = SummaryWriter(str(folder), purge_step=trainer.progress.step)
     try:
-        with Progress(*columns, disable=quiet or not sys.stderr.isatty()) as bar, open(folder / "metrics.jsonl", "a") as log:
-            task = bar.add_task("training", total=1.0, completed=trainer.done, facts="", left="")
+        hidden = quiet or not sys.stderr.isatty()
+        with _Signals() as signals, Progress(*columns, disable=hidden) as bar, open(folder / "metrics.jsonl", "a") as log:
+            task = bar.add_task("training", total=1.0, facts="", left="")
+            bar.update(task, completed=trainer.done)
             begun, begun_at = trainer.done, time.perf_counter()
-            while trainer.done < 1:
+            while trainer.done < 1 and not signals.received:
                 trainer.step()
                 now = trainer.progress
+                if not math.isfinite(now.error):
+                    raise InputError(f"step {now.step}", "an image error that is not finite", "a training that converges",
+                                     f"Take a smaller learning rate. {folder} stays as it was at the last checkpoint.")
                 if now.step % _LOG_EVERY == 0 or trainer.done >= 1:
                     _log(log, board, trainer)
                     rate = (trainer.done - begun) / (time.perf_counter() - begun_at)
@@ -98,17 +121,41 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
                 if time.perf_counter() - saved > options.checkpoint_seconds:
                     trainer.save()
                     saved = time.perf_counter()
-    finally:
         trainer.save()
         trainer.run.config["trained"] = {"steps": trainer.progress.step, "seconds": trainer.progress.seconds, "done": trainer.done >= 1}
         files.write_json(folder / "config.json", trainer.run.config)
+    finally:
         board.close()
+    if signals.received:
+        raise KeyboardInterrupt
 
 
-def _log(log: object, board: SummaryWriter, trainer: Trainer) -> None:
+class _Signals:
+    """Notes SIGINT and SIGTERM while in its block, in place of their usual effect. A second one has its usual effect."""
+
+    def __init__(self) -> None:
+        self.received = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> _Signals:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, _frame: object) -> None:
+        self.received = True
+        signal.signal(number, self._before[number])
+
+
+def _log(log: TextIO, board: SummaryWriter, trainer: Trainer) -> None:
     now = trainer.progress
     row = {"step": now.step, "seconds": round(now.seconds, 3), "loss": now.error, "psnr": round(now.psnr, 4), "samples": now.evaluated}
-    print(json.dumps(row), file=log, flush=True)  # type: ignore[call-overload]
+    print(json.dumps(row), file=log, flush=True)
     for name in ("loss", "psnr", "samples"):
         board.add_scalar(f"training/{name}", row[name], now.step)
 

@@ -43,7 +43,8 @@ class ImageLoss:
             total = total + self._options.opacity_weight * dr.mean(dr.square(seen.opacity - mask))
         if self._options.edge_weight > 0:
             at_edge = seen.inside & (dr.abs(dr.detach(seen.samples.u.z)) > self._edge)
-            density = dr.sum(dr.select(at_edge, seen.samples.sigma, 0.0)) * dr.rcp(mi.Float(dr.opaque(mi.Float, max(seen.evaluated, 1))))
+            count = dr.maximum(dr.sum(dr.select(at_edge, mi.Float(1), 0.0)), 1.0)
+            density = dr.sum(dr.select(at_edge, seen.samples.sigma, 0.0)) / count
             total = total + (self._edge_scale * self._edge_on) * density
         return Loss(total, dr.detach(image))
 

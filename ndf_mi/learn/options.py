@@ -26,7 +26,7 @@ class TrainingOptions:
     """Candidate samples a ray."""
 
     skip_empty: bool = True
-    """Leave out samples where the field has been found empty, but for a random tenth of them."""
+    """Leave out samples where the field has been found empty, but for a random eighth of them."""
 
     mask_share: float = 0.5
     """Share of the rays that are drawn from the mask's pixels, the others from the body's padded box."""
@@ -35,7 +35,7 @@ class TrainingOptions:
     """Pixels whose surroundings of this size hold both performer and background aren't drawn; 0 draws them all, the paper has 3."""
 
     box_padding: float = 0.05
-    """Padding of the body's box in metres, for the pixels drawn and for box figures."""
+    """Padding of the body's box in metres, for the pixels drawn."""
 
     learning_rate: float = 2e-3
     """Adam's rate for the networks."""
@@ -57,9 +57,10 @@ class TrainingOptions:
     image error is below `edge_below`."""
 
     edge_below: float = 0.005
+    """Smoothed mean squared error of the image in sRGB below which the edge term counts."""
 
     clip: float = 40.0
-    """Largest magnitude of an entry of a gradient."""
+    """Largest magnitude of an entry of the networks' gradient."""
 
     seed: int = 0
     """Of weights, rays and jitter."""
@@ -69,10 +70,10 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         for key in ("steps", "rays", "samples", "learning_rate", "grid_rate", "decay", "clip", "checkpoint_seconds"):
-            if not getattr(self, key) > 0:
+            if not 0 < getattr(self, key) < float("inf"):
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number above 0")
-        for key in ("seconds", "edge_kernel", "box_padding", "decay_steps", "opacity_weight", "edge_weight", "seed"):
-            if not getattr(self, key) >= 0:
+        for key in ("seconds", "edge_kernel", "box_padding", "decay_steps", "opacity_weight", "edge_weight", "edge_below", "seed"):
+            if not 0 <= getattr(self, key) < float("inf"):
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number from 0 on")
         if not 0 <= self.mask_share <= 1:
             raise InputError("option mask-share", repr(self.mask_share), "a number in [0, 1]")
@@ -88,7 +89,14 @@ class TrainingOptions:
         unknown = sorted(set(values) - known)
         if unknown:
             raise InputError(where, f"the option {unknown[0]!r}", "one of " + ", ".join(sorted(known)))
-        return cls(**values)
+        for key, value in values.items():
+            kind = type(getattr(cls, key))
+            if not isinstance(value, kind) and not (kind is float and isinstance(value, int)):
+                raise InputError(f"{where}: {key}", repr(value), f"a {kind.__name__}")
+        try:
+            return cls(**values)
+        except InputError as error:
+            raise InputError(f"{where}: {error.where}", error.found, error.expected) from None
 
     @classmethod
     def paper(cls) -> TrainingOptions:

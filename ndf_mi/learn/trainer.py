@@ -28,8 +28,8 @@ _SMOOTHING = 0.98
 _MARGIN = 1.2
 """Room for steps with more samples than those before: outgrown, all kernels of that size are compiled anew."""
 _SETTLE = (192, 256, 448, 512, 960, 1024, 3008, 3072)
-"""Steps before which array sizes are fitted to what is needed by then; each time, some kernels may be compiled anew. In pairs: the
-first of a pair only starts the count."""
+"""Steps before which array sizes are fitted to what was needed since the step before in this list; each time, some kernels may be
+compiled anew. In pairs, so that the second of a pair goes by the last few dozen steps."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,8 @@ class Trainer:
             "seconds": self._seconds,
             "error": None if math.isnan(self._error) else self._error,
             "random": self._rng.bit_generator.state,
-            "near": self._workspace.near.size,
-            "inside": self._workspace.inside.size,
+            "near": [self._workspace.near.size, self._workspace.near.largest],
+            "inside": [self._workspace.inside.size, self._workspace.inside.largest],
         }
         write_state(self.run.path / STATE, tensors, facts)
         self.publish()
@@ -162,7 +162,8 @@ class Trainer:
             self._rng.bit_generator.state = facts["random"]
             self._step, self._seconds = int(facts["step"]), float(facts["seconds"])
             self._error = float("nan") if facts["error"] is None else float(facts["error"])
-            self._workspace.near.size, self._workspace.inside.size = int(facts["near"]), int(facts["inside"])
+            for compaction, key in ((self._workspace.near, "near"), (self._workspace.inside, "inside")):
+                compaction.size, compaction.largest = map(int, facts[key])
             if self._occupancy is not None:
                 self._occupancy.restore(tensors["occupancy"], self._step)
         except (KeyError, TypeError, ValueError) as error:

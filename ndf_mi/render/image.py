@@ -52,9 +52,11 @@ class ImageRenderer:
 
     samples: int = 128
     workspace: Workspace = field(default_factory=Workspace)
+    spp: int = 1
+    """Rays a pixel: 1 goes through the centre; more are spread over the pixel by a low-discrepancy sequence and averaged."""
 
     def __call__(self, volume: VolumeField, camera: RaySource, geometry: bool = False) -> Image:
-        """Renders `volume` through pixel centres of `camera`, without jitter."""
+        """Renders `volume` as `camera` sees it; the same every time."""
         pixels = self._pixels(volume, camera)
         size = camera.h * camera.w
         channels = 11 if geometry else 5
@@ -64,26 +66,34 @@ class ImageRenderer:
                 chosen = pixels[start : start + TILE]
                 padded = np.full(TILE, chosen[0], dtype=np.uint32)
                 padded[: len(chosen)] = chosen
-                seen = quadrature(volume, self._rays(camera, mi.UInt32(padded)), self.samples,
-                                  workspace=self.workspace, geometry=geometry)
-                rows = [*seen.colour, seen.opacity, seen.depth]
-                if seen.u is not None and seen.normal is not None:
-                    rows += [*seen.u, *seen.normal]
-                dr.eval(rows)
-                for row, value in zip(out, rows, strict=True):
-                    row[chosen] = value.numpy()[: len(chosen)]
+                for place in range(self.spp):
+                    rays = self._rays(camera, mi.UInt32(padded), _place(place))
+                    seen = quadrature(volume, rays, self.samples, workspace=self.workspace, geometry=geometry)
+                    rows = [*seen.colour, seen.opacity, seen.depth]
+                    if seen.u is not None and seen.normal is not None:
+                        rows += [*seen.u, *seen.normal]
+                    dr.eval(rows)
+                    for row, value in zip(out, rows, strict=True):
+                        row[chosen] += value.numpy()[: len(chosen)] / self.spp
         image = np.moveaxis(out.reshape(channels, camera.h, camera.w), 0, -1)
         return Image(image[..., :3], image[..., 3], image[..., 4],
                      image[..., 5:8] if geometry else None, image[..., 8:11] if geometry else None)
 
     @staticmethod
-    def _rays(camera: RaySource, index: mi.UInt32) -> mi.Ray3f:
+    def _rays(camera: RaySource, index: mi.UInt32, place: tuple[float, float] = (0.5, 0.5)) -> mi.Ray3f:
         width = dr.opaque(mi.UInt32, camera.w)
         y = index // width
-        return camera.rays(mi.Point2f(mi.Float(index - y * width) + 0.5, mi.Float(y) + 0.5))
+        right, down = (dr.opaque(mi.Float, offset) for offset in place)
+        return camera.rays(mi.Point2f(mi.Float(index - y * width) + right, mi.Float(y) + down))
 
     def _pixels(self, volume: VolumeField, camera: RaySource) -> np.ndarray:
         """Indices of the pixels whose rays meet the field's box."""
         rays = self._rays(camera, dr.arange(mi.UInt32, camera.w * camera.h))
         hit, _, _ = box_interval(volume.bbox, rays)
         return np.flatnonzero(hit.numpy()).astype(np.uint32)
+
+
+def _place(number: int) -> tuple[float, float]:
+    """Where in its pixel ray `number` goes: the centre first, then on along the R2 sequence (Roberts 2018), whose steps are powers of
+    the inverse of the plastic number."""
+    return (0.5 + number * 0.7548776662466927) % 1.0, (0.5 + number * 0.5698402909980532) % 1.0

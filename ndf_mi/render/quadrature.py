@@ -13,20 +13,9 @@ from typing import Any, Protocol
 import drjit as dr
 import mitsuba as mi
 
+from ndf_mi.field.sample import FieldSample
 from ndf_mi.numerics import expm1
 from ndf_mi.render.sampling import Compaction, box_interval, stratified
-
-
-@dataclass
-class FieldSample:
-    """A field at K points. `sigma` in 1/m, `colour` linear; `u` is (u*, v*) and the signed distance l in metres; `normal` unit;
-    `weight` how many samples each stands for, where some were left out at random, else None."""
-
-    sigma: mi.Float
-    colour: mi.Color3f
-    u: mi.Point3f
-    normal: mi.Normal3f
-    weight: mi.Float | None = None
 
 
 class VolumeField(Protocol):

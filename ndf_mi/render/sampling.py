@@ -49,18 +49,22 @@ class Compaction:
 
     Sizes are Python numbers and enter kernels: each new one costs a compilation. The size therefore only grows by itself, with a
     margin, from `size` where that is given; :meth:`settle` lets it shrink.
+
+    Attributes:
+        size: of the arrays returned.
+        largest: number of lanes chosen at most since the last settling.
     """
 
     def __init__(self, size: int = 0, margin: float = 1.25) -> None:
         self.size = size
         self.margin = margin
-        self._largest = 0
+        self.largest = 0
 
     def __call__(self, mask: mi.Bool) -> tuple[mi.UInt32, mi.Bool, int]:
         """Returns the chosen lanes' indices (0 in the padding), which entries are real, and how many those are. Evaluates `mask`."""
         chosen = dr.compress(mask)
         count = dr.width(chosen)
-        self._largest = max(self._largest, count)
+        self.largest = max(self.largest, count)
         if count > self.size:
             self.size = self._padded(count)
         self.size = max(self.size, QUANTUM)
@@ -74,10 +78,10 @@ class Compaction:
 
     def settle(self) -> None:
         """Shrinks the size to what the calls since the last settling needed, if that is much less."""
-        needed = max(self._padded(self._largest), QUANTUM)
-        if self._largest and needed < 0.9 * self.size:
+        needed = max(self._padded(self.largest), QUANTUM)
+        if self.largest and needed < 0.9 * self.size:
             self.size = needed
-        self._largest = 0
+        self.largest = 0
 
     def _padded(self, count: int) -> int:
         return -(-int(count * self.margin) // QUANTUM) * QUANTUM

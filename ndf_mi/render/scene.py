@@ -20,7 +20,7 @@ def load_scene(path: str | os.PathLike[str], parameters: dict[str, str]) -> mi.S
     try:
         scene = mi.load_file(str(path), **parameters)
     except (RuntimeError, ValueError, TypeError) as error:
-        raise InputError(path, f"a scene that cannot be loaded:\n{error}", "a scene that Mitsuba loads") from None
+        raise InputError(path, f"a scene that cannot be loaded: {_plainly(error)}", "a scene that Mitsuba loads") from None
     if not isinstance(scene, mi.Scene):
         raise InputError(path, f"a {type(scene).__name__}", "a scene")
     return scene
@@ -49,16 +49,24 @@ def render_scene(
         params.update()
     try:
         mi.render(scene, sensor=sensors[sensor], spp=spp, seed=seed)
-    except RuntimeError as error:
+    except (RuntimeError, TypeError, ValueError) as error:
         cause: BaseException | None = error
         while cause is not None:
             if isinstance(cause, InputError):
                 raise cause from None
             cause = cause.__cause__
-        raise InputError("scene", f"one that its integrator cannot render: {error}", "another integrator or scene") from None
+        raise InputError("scene", f"one that its integrator cannot render: {_plainly(error)}", "another integrator or scene") from None
     bitmap = sensors[sensor].film().bitmap(raw=False)
     array = np.array(bitmap, dtype=np.float32)
     names = [field.name for field in bitmap.struct_()]
     channels = {name: array[..., i] for i, name in enumerate(names)}
     colour = np.stack([channels[n] for n in "RGB"], axis=-1) if "R" in channels else np.repeat(array[..., :1], 3, axis=-1)
     return channels, np.clip(linear_to_srgb(np.maximum(colour, 0)), 0, 1)
+
+
+def _plainly(error: BaseException) -> str:
+    """What an exception from Mitsuba says, without the frames of Python that it quotes: the plugin's own message where there is one."""
+    text = str(error)
+    own = text.rpartition("InputError: ")[2] if "InputError: " in text else text
+    lines = [line.strip() for line in own.splitlines()]
+    return " ".join(line for line in lines if line and not line.startswith(("File ", "Traceback", "At:", "^")))

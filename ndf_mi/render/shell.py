@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -13,9 +15,9 @@ from ndf_mi.projection import Surface
 def band_shell(surface: Surface, vertices: mi.Float, band: float, cell: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
     """The boundary of a region that contains every point within `band` of the posed body.
 
-    The distance to the body is sampled on a grid and cut by marching cubes at ``band + √3/2·cell``: a distance changes by no
-    more than the distance between two points, and so does its trilinear interpolant from the true value by at most half a
-    cell's diagonal; no point of the band is therefore outside. Where the body is thicker than twice the band, the boundary has
+    The distance to the body is sampled on a grid and cut by marching cubes at ``band + √3·cell``. A distance changes by no more than the
+    distance between two points: around a point of the band all eight corners of its cell are below that level, and marching
+    cubes leaves such a cell whole inside. Where the body is thicker than twice the band, the boundary has
     an inner part too, around the empty inside.
 
     Args:
@@ -27,7 +29,7 @@ def band_shell(surface: Surface, vertices: mi.Float, band: float, cell: float = 
     Returns:
         vertices (N, 3) float32 and faces (M, 3) uint32, closed, normals pointing out of the region.
     """
-    level = band + 0.5 * np.sqrt(3.0) * cell
+    level = band + math.sqrt(3.0) * cell
     reach = level + 2 * cell
     posed = surface.pose(vertices, reach)
     low = posed.bbox.min.numpy().ravel().astype(np.float64) - cell

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import signal
 
 import drjit as dr
 import mitsuba as mi
@@ -13,6 +14,7 @@ from ndf_mi.field import preset
 from ndf_mi.learn.loop import resume, start, train
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RaySampler, box_pixels, pixel_rays
+from ndf_mi.learn.trainer import Progress
 from ndf_mi.render.image import ImageRenderer
 from ndf_mi.run import Run
 
@@ -152,3 +154,44 @@ def test_damaged_runs_are_refused_by_name(capture, tmp_path, damage):
 def test_wrong_options_are_named(change, word):
     with pytest.raises(InputError, match=word):
         dataclasses.replace(OPTIONS, **change)
+
+
+def test_an_interrupt_finishes_the_step_and_keeps_the_state(capture, tmp_path, monkeypatch):
+    whole = taken(start(tmp_path / "whole", capture, TINY, dataclasses.replace(OPTIONS, steps=12)), 12)
+    whole.publish()
+    trainer = start(tmp_path / "run", capture, TINY, dataclasses.replace(OPTIONS, steps=12))
+    step = trainer.step
+
+    def interrupted_step():
+        if trainer.progress.step == 5:
+            signal.raise_signal(signal.SIGINT)
+        step()
+
+    monkeypatch.setattr(trainer, "step", interrupted_step)
+    with pytest.raises(KeyboardInterrupt):
+        train(trainer, quiet=True)
+    assert trainer.progress.step == 6 and not json.loads((tmp_path / "run" / "config.json").read_text())["trained"]["done"]
+    again = resume(tmp_path / "run", capture)
+    assert again.progress.step == 6
+    train(again, quiet=True)
+    assert again.progress.step == 12
+    for key, value in whole.run.field_tensors().items():
+        np.testing.assert_allclose(again.run.field_tensors()[key], value, rtol=0, atol=2e-4 * np.abs(value).max())
+
+
+def test_a_training_that_diverges_stops_with_a_message_and_keeps_its_checkpoint(capture, tmp_path, monkeypatch):
+    trainer = taken(start(tmp_path / "run", capture, TINY, OPTIONS), 2)
+    trainer.save()
+    before = (tmp_path / "run" / "field.safetensors").read_bytes()
+    monkeypatch.setattr(type(trainer), "progress", property(lambda self: Progress(3, 1.0, float("nan"), 0)))
+    with pytest.raises(InputError, match="learning rate"):
+        train(trainer, quiet=True)
+    assert (tmp_path / "run" / "field.safetensors").read_bytes() == before
+
+
+def test_a_lost_state_is_told(capture, tmp_path):
+    trainer = start(tmp_path / "run", capture, TINY, dataclasses.replace(OPTIONS, steps=2))
+    train(trainer, quiet=True)
+    (tmp_path / "run" / "state.safetensors").unlink()
+    with pytest.raises(InputError, match="state.safetensors"):
+        resume(tmp_path / "run", capture)

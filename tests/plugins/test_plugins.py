@@ -136,16 +136,16 @@ def test_fields_weights_are_parameters_and_train(make_run):
     scene = scene_of(make_run("start", seed=1, density_bias=0.0), size=12)
     params = mi.traverse(scene)
     key = "performer.interior_medium.weights"
-    opt = mi.ad.Adam(lr=3e-2)
+    opt = mi.ad.Adam(lr=5e-3)
     opt[key] = params[key]
     losses = []
-    for step in range(40):
+    for step in range(60):
         params.update(opt)
         loss = dr.mean(dr.square(mi.render(scene, params, spp=1, seed=step) - mi.TensorXf(target)), axis=None)
         dr.backward(loss)
         opt.step()
         losses.append(float(loss.array[0]))
-    assert losses[-1] < 0.4 * losses[0]
+    assert losses[-1] < 0.5 * losses[0]
 
 
 @pytest.mark.parametrize("key", ["weights", "vertices", "pose", "grid"])
@@ -213,12 +213,14 @@ def test_shell_contains_the_band_and_is_closed(make_run):
     assert radii[~outer].max() < RADIUS - BAND
 
 
-@pytest.mark.parametrize("name", sorted(p.name for p in SCENES.glob("*.xml")))
-@pytest.mark.parametrize("integrator", ["ndf_quadrature", "volpath"])
-def test_scenes_load_and_render(make_run, name, integrator):
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [(path.name, {}) for path in sorted(SCENES.glob("*.xml"))]
+    + [("performer.xml", {"integrator": name}) for name in ("volpath", "volpathmis", "prbvolpath")],
+)
+def test_scenes_load_and_render(make_run, name, change):
     run = make_run(density_limit=20.0, density_gain=10.0)
-    scene = mi.load_file(str(SCENES / name), run=str(run.path), frame=1, width=16, height=16, integrator=integrator, background=0.5,
-                         origin="0, 0, 2", target="0, 0, 0")
+    scene = mi.load_file(str(SCENES / name), run=str(run.path), width=16, height=16, origin="0, 0, 2", target="0, 0, 0", **change)
     image = mi.render(scene, spp=4).numpy()
     assert np.isfinite(image).all() and image.std() > 0
 

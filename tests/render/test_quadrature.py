@@ -7,7 +7,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from ndf_mi.render.quadrature import FieldSample, Workspace, quadrature
+from ndf_mi.field.sample import FieldSample
+from ndf_mi.render.quadrature import Workspace, quadrature
 from ndf_mi.render.sampling import Compaction, box_interval, stratified
 
 
