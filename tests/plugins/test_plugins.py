@@ -148,12 +148,12 @@ def test_fields_weights_are_parameters_and_train(make_run):
     assert losses[-1] < 0.5 * losses[0]
 
 
-@pytest.mark.parametrize("key", ["weights", "vertices", "pose", "grid"])
+@pytest.mark.parametrize("key", ["weights", "pose", "grid"])
 def test_gradients_of_the_quadrature_agree_with_finite_differences(make_run, key):
     run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16)
     run.model.field.grid = run.model.field.grid * 5e3
     run.save()
-    scene = scene_of(run, size=32, samples=768, background=0.0)
+    scene = scene_of(run, size=32, samples=256, background=0.3)
     params = mi.traverse(scene)
     name = f"performer.interior_medium.{key}"
     start = params[name].numpy().astype(np.float64)
@@ -173,13 +173,9 @@ def test_gradients_of_the_quadrature_agree_with_finite_differences(make_run, key
     dr.backward(dr.sum(image * target, axis=None))
     gradient = dr.grad(params[name]).numpy().astype(np.float64)
     assert np.isfinite(gradient).all() and np.abs(gradient).max() > 0
-    size = {"weights": 3e-4, "grid": 1e-2, "vertices": 3e-4, "pose": 1e-3}[key]
-    # Random smooth motion for vertices (a translation, a scale), random entries in the gradient's orthant for the others.
+    size = {"weights": 3e-4, "grid": 1e-2, "pose": 1e-3}[key]
     for trial in range(3):
-        if key == "vertices":
-            direction = size * (start.reshape(-1, 3) * rng.normal(size=3) * 3 + rng.normal(size=3)).ravel()
-        else:
-            direction = size * rng.uniform(0, 1, gradient.size) * np.sign(gradient)
+        direction = size * rng.uniform(0, 1, gradient.size) * np.sign(gradient)
         ahead, behind = ((render(start + sign * direction).numpy().astype(np.float64) * target.numpy()).sum() for sign in (1, -1))
         assert (ahead - behind) / 2 == pytest.approx(float(gradient @ direction), rel=1e-2), trial
 

@@ -1,0 +1,84 @@
+"""Projection, deformation and field composed: gradients reach vertices and weights, with and without symbolic evaluation."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from ndf_mi.model import PosedModel
+from ndf_mi.render.quadrature import quadrature
+
+
+@pytest.fixture
+def run(make_run):
+    run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16)
+    run.model.field.grid = run.model.field.grid * 5e3
+    return run
+
+
+def rays(n=4000):
+    rng = np.random.default_rng(0)
+    o = np.stack([*rng.uniform(-0.45, 0.45, (2, n)), np.full(n, 2.0)]).astype(np.float32)
+    # Uneven over the image, so that moving and scaling the body changes the sum.
+    return mi.Ray3f(mi.Point3f(o), mi.Vector3f(0, 0, -1)), 1 + o[0].astype(np.float64) + 0.5 * o[1]
+
+
+@pytest.mark.parametrize("trial", range(4))
+def test_gradients_reach_the_vertices(run, trial):
+    """Of the quadrature along random affine motions of the body, against central differences."""
+    ray, weights = rays()
+    start = run.poses.vertices[0].astype(np.float64)
+    rng = np.random.default_rng(trial)
+    direction = start @ rng.normal(size=(3, 3)) + 0.2 * rng.normal(size=3)
+
+    def render(vertices):
+        flat = mi.Float(vertices.astype(np.float32).ravel())
+        dr.enable_grad(flat)
+        surface = run.model.surface.pose(flat, run.model.band)
+        seen = quadrature(PosedModel(run.model.field, surface, run.pose_vector(0)), ray, 1024)
+        return seen.colour.x + seen.colour.y + 0.3 * seen.opacity, flat
+
+    image, flat = render(start)
+    dr.backward(dr.sum(image * mi.Float(weights.astype(np.float32))))
+    gradient = dr.grad(flat).numpy().astype(np.float64)
+    slope = float(gradient @ direction.ravel())
+    h = 4e-4
+    ahead, behind = ((render(start + sign * h * direction)[0].numpy() * weights).sum() for sign in (1, -1))
+    assert slope == pytest.approx((ahead - behind) / (2 * h), rel=1e-2)
+
+
+def test_symbolic_and_batched_evaluation_agree(run):
+    rng = np.random.default_rng(1)
+    x = mi.Point3f(rng.uniform(-0.4, 0.4, (3, 20_000)).astype(np.float32))
+    d = dr.normalize(mi.Vector3f(rng.normal(size=(3, 20_000)).astype(np.float32)))
+    posed = run.posed(0)
+    posed.bound.pack()
+    fused = posed.fused(x, d)
+    handle, inside = posed.locate(x, mi.Bool(True))
+    batched = posed.evaluate(x, d, handle, inside)
+    np.testing.assert_allclose(fused.sigma.numpy(), batched.sigma.numpy(), atol=1e-4)
+    inside = inside.numpy()
+    assert 0.1 < inside.mean() < 0.9 and (fused.sigma.numpy()[~inside] == 0).all()
+    np.testing.assert_allclose(fused.colour.numpy()[:, inside], batched.colour.numpy()[:, inside], atol=1e-5)
+
+
+def test_lanes_without_a_meaning_do_not_poison_gradients(run):
+    x = np.random.default_rng(1).uniform(-0.4, 0.4, (3, 2000)).astype(np.float32)
+    x[:, ::7] = np.nan
+    active = np.ones(2000, bool)
+    active[::7] = False
+    for symbolic in (True, False):
+        field = run.model.field
+        field.weights = mi.Float(field.weights.numpy())
+        dr.enable_grad(field.weights)
+        posed = run.posed(0)
+        posed.bound.pack()
+        d = mi.Vector3f(0, 0, mi.Float(np.where(active, 1, np.nan).astype(np.float32)))
+        if symbolic:
+            sample = posed.fused(mi.Point3f(x), d, mi.Bool(active))
+        else:
+            handle, inside = posed.locate(mi.Point3f(x), mi.Bool(active))
+            sample = posed.evaluate(mi.Point3f(x), d, handle, inside)
+        dr.backward(dr.sum(dr.select(mi.Bool(active), sample.sigma + sample.colour.x, 0)))
+        gradient = dr.grad(field.weights).numpy()
+        assert np.isfinite(gradient).all() and np.abs(gradient).max() > 0
