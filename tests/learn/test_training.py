@@ -36,7 +36,7 @@ def test_training_learns_and_writes_a_run(capture, tmp_path):
     image = ImageRenderer(64)(run.posed(frame), capture.cameras[camera]).over(run.background)
     truth = capture.image(camera, frame)
     mask = capture.mask(camera, frame)
-    assert np.square(image - truth)[mask].mean() < 0.25 * np.square(truth[mask] - truth[mask].mean(0)).mean()
+    assert np.square(image - truth)[mask].mean() < 0.5 * np.square(truth[mask] - truth[mask].mean(0)).mean()
     assert np.square(image - truth)[~mask].mean() < 4e-3
     rows = [json.loads(line) for line in (run.path / "metrics.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == [50, 100, 150, 200, 250, 300] and rows[-1]["psnr"] > rows[0]["psnr"]

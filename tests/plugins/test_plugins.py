@@ -132,16 +132,17 @@ def test_shell_and_cube_bound_the_same_medium(make_run):
 
 def test_fields_weights_are_parameters_and_train(make_run):
     """The loop of the README: Adam on the weights through mi.render brings the picture to a target."""
-    target = mi.render(scene_of(make_run("target", seed=5, density_bias=0.0), size=12)).numpy()
+    # Rays fall anywhere in their pixels: enough of them, that the loss is not that of the silhouette's noise.
+    target = mi.render(scene_of(make_run("target", seed=5, density_bias=0.0), size=12), spp=128).numpy()
     scene = scene_of(make_run("start", seed=1, density_bias=0.0), size=12)
     params = mi.traverse(scene)
     key = "performer.interior_medium.weights"
-    opt = mi.ad.Adam(lr=5e-3)
+    opt = mi.ad.Adam(lr=1e-2)
     opt[key] = params[key]
     losses = []
-    for step in range(60):
+    for step in range(25):
         params.update(opt)
-        loss = dr.mean(dr.square(mi.render(scene, params, spp=1, seed=step) - mi.TensorXf(target)), axis=None)
+        loss = dr.mean(dr.square(mi.render(scene, params, spp=32, seed=step) - mi.TensorXf(target)), axis=None)
         dr.backward(loss)
         opt.step()
         losses.append(float(loss.array[0]))
@@ -153,13 +154,14 @@ def test_gradients_of_the_quadrature_agree_with_finite_differences(make_run, key
     run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16)
     run.model.field.grid = run.model.field.grid * 5e3
     run.save()
-    scene = scene_of(run, size=32, samples=256, background=0.3)
+    # Gradients are taken along other rays than the picture: enough of both.
+    scene = scene_of(run, size=16, samples=128, background=0.3)
     params = mi.traverse(scene)
     name = f"performer.interior_medium.{key}"
     start = params[name].numpy().astype(np.float64)
     rng = np.random.default_rng(7)
     # Uneven over the image, so that moving and scaling the body changes the sum.
-    y, x = np.mgrid[:32, :32].astype(np.float32) / 32
+    y, x = np.mgrid[:16, :16].astype(np.float32) / 16
     target = mi.TensorXf(np.stack([x, y, x * y], -1))
 
     def render(value, attached=False):
@@ -167,7 +169,7 @@ def test_gradients_of_the_quadrature_agree_with_finite_differences(make_run, key
         if attached:
             dr.enable_grad(params[name])
         params.update()
-        return mi.render(scene, params, spp=1)
+        return mi.render(scene, params, spp=64)
 
     image = render(start, attached=True)
     dr.backward(dr.sum(image * target, axis=None))
