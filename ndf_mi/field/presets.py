@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from ndf_mi.errors import InputError
+from ndf_mi.options import read_options
 
 
 @dataclass(frozen=True)
@@ -128,19 +129,7 @@ class Preset:
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "preset") -> Preset:
         """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
-        known = {f.name for f in dataclasses.fields(cls)}
-        unknown = sorted(set(values) - known)
-        if unknown:
-            raise InputError(where, f"the option {unknown[0]!r}", "one of " + ", ".join(sorted(known)))
-        cleaned: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-        for key, value in cleaned.items():
-            kind = type(getattr(PRESETS["fast"], key))
-            if not isinstance(value, kind) and not (kind is float and isinstance(value, int)):
-                raise InputError(f"{where}: {key}", repr(value), f"a {kind.__name__}")
-        try:
-            return cls(**cleaned)
-        except InputError as error:
-            raise InputError(f"{where}: {error.where}", error.found, error.expected) from None
+        return read_options(PRESETS["fast"], values, where)
 
 
 PRESETS: dict[str, Preset] = {

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ndf_mi.errors import InputError
+from ndf_mi.options import read_options
 
 
 @dataclass(frozen=True)
@@ -85,18 +86,7 @@ class TrainingOptions:
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "training") -> TrainingOptions:
         """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
-        known = {f.name for f in dataclasses.fields(cls)}
-        unknown = sorted(set(values) - known)
-        if unknown:
-            raise InputError(where, f"the option {unknown[0]!r}", "one of " + ", ".join(sorted(known)))
-        for key, value in values.items():
-            kind = type(getattr(cls, key))
-            if not isinstance(value, kind) and not (kind is float and isinstance(value, int)):
-                raise InputError(f"{where}: {key}", repr(value), f"a {kind.__name__}")
-        try:
-            return cls(**values)
-        except InputError as error:
-            raise InputError(f"{where}: {error.where}", error.found, error.expected) from None
+        return read_options(cls(), values, where)
 
     @classmethod
     def paper(cls) -> TrainingOptions:
