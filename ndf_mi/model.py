@@ -7,6 +7,7 @@ import mitsuba as mi
 
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
+from ndf_mi.coordinates import coordinates
 from ndf_mi.field import Field, Preset
 from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.field.sample import FieldSample
@@ -27,11 +28,13 @@ class Model:
 
     Attributes:
         surface: the body's triangles, texels and search tree.
+        coordinates: what the networks take for a place.
         field: the networks.
     """
 
     def __init__(self, body: Body, poses: Poses, preset: Preset, seed: int = 0) -> None:
         self.surface = Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0])
+        self.coordinates = coordinates(preset, body, poses)
         self.field = Field(preset, poses.pose.shape[1], seed)
 
     @property
@@ -44,20 +47,23 @@ class PosedModel:
     """A :class:`Model` at one pose: a `VolumeField` for the quadrature, and the medium's coefficients.
 
     Args:
-        field: the networks.
+        model: coordinates and networks.
         surface: the posed body, reusable as long as the pose stays.
         pose: flat (3·J) axis-angles.
         occupancy: in training, leaves out what is empty; its `observe` is the caller's to call.
     """
 
-    def __init__(self, field: Field, surface: PosedSurface, pose: mi.Float, occupancy: Occupancy | None = None) -> None:
+    def __init__(self, model: Model, surface: PosedSurface, pose: mi.Float, occupancy: Occupancy | None = None) -> None:
+        preset = model.field.preset
         self.surface = surface
-        self.bound = field.bind(pose)
+        self.bound = model.field.bind(pose)
         self.bbox = surface.bbox
-        self.majorant = field.majorant
-        self._band = field.preset.band
-        self._inside = field.preset.band_inside
-        self._fade = field.preset.band_fade
+        self.majorant = model.field.majorant
+        self.strata = preset.strata
+        self._coordinates = model.coordinates
+        self._band = preset.band
+        self._inside = preset.band_inside
+        self._fade = preset.band_fade
         self._occupancy = occupancy
 
     def near(self, x: mi.Point3f) -> mi.Bool:
@@ -90,7 +96,7 @@ class PosedModel:
         return self._evaluate(x, d, triangle, active, fused=True)
 
     def unit(self, uv: mi.Point2f, l: mi.Float) -> mi.Point3f:
-        """(u*, v*, l*) in the unit cube: l from −`band_inside` to `band` becomes 0 to 1."""
+        """(u*, v*, l*) in the unit cube, whatever the networks' coordinates: l from −`band_inside` to `band` becomes 0 to 1."""
         scale = 1.0 / (self._band + self._inside)
         return mi.Point3f(uv.x, uv.y, dr.fma(l, scale, self._inside * scale))
 
@@ -100,9 +106,10 @@ class PosedModel:
         # A non-finite input in a masked lane would poison every weight's gradient.
         l = dr.select(active, found.l, 0.0)
         uv = dr.select(active, found.uv, 0.0)
-        u = self.unit(uv, l)
+        u = self._coordinates(x, found, active)
         d = dr.select(active, d, mi.Vector3f(0.0, 0.0, 1.0))
-        sigma, colour = self.bound.fused(u, d, active) if fused else self.bound.batched(u, d)
+        n = dr.select(active, found.normal, mi.Normal3f(0.0, 0.0, 1.0))
+        sigma, colour = self.bound.fused(u, d, n, active) if fused else self.bound.batched(u, d, n)
         if self._fade > 0:
             for depth in ((self._band - l) / self._band, (self._inside + l) / self._inside):
                 s = dr.clip(depth / self._fade, 0.0, 1.0)

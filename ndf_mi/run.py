@@ -137,7 +137,17 @@ class Run:
 
     def posed(self, frame: int) -> PosedModel:
         """The field at a frame, with the weights that it has now (gradients flow to them)."""
-        return PosedModel(self.model.field, self.surface(frame), self.pose_vector(frame))
+        return PosedModel(self.model, self.surface(frame), self.pose_vector(frame))
+
+    def posed_as(self, vertices: np.ndarray, pose: np.ndarray) -> PosedModel:
+        """The field around a body in any pose.
+
+        Args:
+            vertices: (V, 3) of the posed body, world, in metres.
+            pose: (J, 3) axis-angles of the joints relative to their parents, in radians, the root's zero.
+        """
+        surface = self.model.surface.pose(mi.Float(np.ascontiguousarray(vertices, np.float32).ravel()), self.model.band)
+        return PosedModel(self.model, surface, mi.Float(np.ascontiguousarray(pose, np.float32).ravel()))
 
 
 def _read_config(path: Path) -> dict[str, Any]:

@@ -94,9 +94,10 @@ def register() -> None:
             return self._model
 
         def _bind(self) -> None:
-            field = copy.copy(self.run.model.field)
-            field.weights, field.grid = self.weights, self.grid
-            self._model = PosedModel(field, self._surface, self.pose)
+            model = copy.copy(self.run.model)
+            model.field = copy.copy(model.field)
+            model.field.weights, model.field.grid = self.weights, self.grid
+            self._model = PosedModel(model, self._surface, self.pose)
             self._model.bound.pack()
 
         def traverse(self, callback: Any) -> None:

@@ -102,7 +102,7 @@ def register() -> None:
             part = mi.Ray3f(dr.gather(mi.Point3f, ray.o, index), dr.gather(mi.Vector3f, ray.d, index))
             jitter = None
             if offset is not None:
-                jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples)
+                jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples * model.strata)
             geometry = "uvl" in self.aovs or "normal" in self.aovs
             return quadrature(model, part, self.samples, jitter=jitter, workspace=self._workspace, geometry=geometry)
 

@@ -35,7 +35,7 @@ def test_gradients_reach_the_vertices(run, trial):
         flat = mi.Float(vertices.astype(np.float32).ravel())
         dr.enable_grad(flat)
         surface = run.model.surface.pose(flat, run.model.band)
-        seen = quadrature(PosedModel(run.model.field, surface, run.pose_vector(0)), ray, 1024)
+        seen = quadrature(PosedModel(run.model, surface, run.pose_vector(0)), ray, 1024)
         return seen.colour.x + seen.colour.y + 0.3 * seen.opacity, flat
 
     image, flat = render(start)

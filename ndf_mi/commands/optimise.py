@@ -26,6 +26,9 @@ class Optimise:
     preset: str = "fast"
     """Architecture: fast, paper or tiny."""
 
+    ablation: str = "full"
+    """Take a part of the method away: naked, no-pose, no-projection, no-deform, one-piece, unsigned or surface-point."""
+
     steps: int | None = None
     """Steps in all."""
 
@@ -50,6 +53,8 @@ class Optimise:
         capture = Capture.read(self.capture)
         if self.resume:
             given = [name for name in ("steps", "seconds", "seed") if getattr(self, name) is not None]
+            if self.ablation != "full":
+                given.append("ablation")
             if given or self.option:
                 raise InputError("--resume", f"another option beside it (--{(given or ['option'])[0]})",
                                  "none: a resumed run keeps the options it was started with")
@@ -68,10 +73,11 @@ class Optimise:
 
     def _options(self) -> tuple[Any, Any]:
         from ndf_mi.field import preset
+        from ndf_mi.learn.ablations import ablation
         from ndf_mi.learn.options import TrainingOptions
 
-        base = preset(self.preset)
         training = TrainingOptions.paper() if self.preset == "paper" else TrainingOptions()
+        base, training = ablation(self.ablation).apply(preset(self.preset), training)
         architecture = {f.name for f in dataclasses.fields(base)} - {"name"}
         schedule = {f.name for f in dataclasses.fields(training)}
         changes: dict[str, Any] = {k: getattr(self, k) for k in ("steps", "seconds", "seed") if getattr(self, k) is not None}

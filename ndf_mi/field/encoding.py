@@ -34,7 +34,7 @@ def frequency_width(values: int, octaves: int) -> int:
 
 
 class GridEncoding:
-    """A multiresolution hash grid over (ũ, ṽ, l̃), coarser along l (Müller et al. 2022, *Instant Neural Graphics Primitives*).
+    """A multiresolution hash grid over ũ, coarser along l (Müller et al. 2022, *Instant Neural Graphics Primitives*).
 
     The table is not kept here but handed to each call, so that it can be a parameter of a medium or of an optimiser.
     """
@@ -42,11 +42,13 @@ class GridEncoding:
     def __init__(self, preset: Preset) -> None:
         growth = (preset.grid_finest / preset.grid_base) ** (1.0 / (preset.grid_levels - 1))
         self._encoding = nn.HashGridEncoding(
-            mi.Float, 3, n_levels=preset.grid_levels, n_features_per_level=preset.grid_features,
+            mi.Float, preset.dimension, n_levels=preset.grid_levels, n_features_per_level=preset.grid_features,
             hashmap_size=preset.grid_entries, base_resolution=preset.grid_base, per_level_scale=growth,
         )
         self._encoding.data = None
-        self._l_scale = preset.grid_l_scale
+        self._scale = [1.0] * preset.dimension
+        if preset.coordinates != "world":
+            self._scale[-1] = preset.grid_l_scale
         self.width = preset.grid_levels * preset.grid_features
         self.size = int(self._encoding.n_params)
 
@@ -55,8 +57,8 @@ class GridEncoding:
         return rng.uniform(-1e-4, 1e-4, self.size).astype(np.float32)
 
     def __call__(self, table: mi.Float, u: Any, active: mi.Bool | bool = True) -> list[mi.Float]:
-        """Features at ũ (three values in the unit cube, clamped to it); differentiable in the table and in ũ."""
-        u = [dr.clip(u[0], 0.0, 1.0), dr.clip(u[1], 0.0, 1.0), dr.clip(u[2], 0.0, 1.0) * self._l_scale]
+        """Features at ũ (the preset's `dimension` of values in the unit cube, clamped to it); differentiable in the table and in ũ."""
+        u = [dr.clip(value, 0.0, 1.0) * scale for value, scale in zip(u, self._scale, strict=True)]
         self._encoding.data = table
         try:
             return list(self._encoding(u, active))

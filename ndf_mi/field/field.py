@@ -5,6 +5,7 @@ It knows nothing of meshes, scenes or files: its input is the projected point (u
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import drjit as dr
@@ -78,26 +79,29 @@ class BoundField:
                 weight, bias, pose_weight = _split(field.weights, layer)
                 self._tensors[name] = (weight, bias if pose_weight is None else pose_weight @ features + bias)
 
-    def batched(self, u: mi.Point3f, d: mi.Vector3f) -> tuple[mi.Float, mi.Color3f]:
+    def batched(self, u: Sequence[mi.Float], d: mi.Vector3f, n: mi.Normal3f) -> tuple[mi.Float, mi.Color3f]:
         """Density and colour by dense matrix products over all samples; for evaluated code.
 
         Args:
-            u: N points (u*, v*, l*) in the unit cube; every lane finite.
+            u: u* of N points in the unit cube, as many arrays as the preset's `dimension`; every lane finite.
             d: N unit view directions in world space.
+            n: N unit normals of the body's surface in world space; used where the preset says so.
 
         Returns:
             σ in 1/m, in [0, `density_limit`], and linear colour in [0, 1].
         """
-        return self._evaluate(_Batched(self._tensors, dr.width(u)), u, d)
+        return self._evaluate(_Batched(self._tensors, dr.width(d)), u, d, n)
 
-    def fused(self, u: mi.Point3f, d: mi.Vector3f, active: mi.Bool | bool = True) -> tuple[mi.Float, mi.Color3f]:
+    def fused(
+        self, u: Sequence[mi.Float], d: mi.Vector3f, n: mi.Normal3f, active: mi.Bool | bool = True
+    ) -> tuple[mi.Float, mi.Color3f]:
         """The same through cooperative vectors: the only form that may be traced inside a symbolic loop, as in a medium.
 
         Call :meth:`pack` beforehand, outside of any symbolic code.
         """
         if self._packed is None:
             raise RuntimeError("BoundField.fused: call pack() first, outside of symbolic code")
-        return self._evaluate(_Fused(self._packed), u, d, active)
+        return self._evaluate(_Fused(self._packed), u, d, n, active)
 
     def pack(self) -> None:
         """Lays the weights out for :meth:`fused`; attached, so that gradients reach the field's weights."""
@@ -106,12 +110,15 @@ class BoundField:
         views = nn.pack(*[mi.TensorXf(t) for t in flat], layout="training")
         self._packed = {name: (views[2 * i], views[2 * i + 1]) for i, name in enumerate(names)}
 
-    def _evaluate(self, run: _Engine, u: Any, d: Any, active: mi.Bool | bool = True) -> tuple[mi.Float, mi.Color3f]:
+    def _evaluate(
+        self, run: _Engine, u: Any, d: Any, n: Any, active: mi.Bool | bool = True
+    ) -> tuple[mi.Float, mi.Color3f]:
         p = self.preset
+        u = list(u)
         if p.deformation_layers:
-            h = self._chain(run, "deform", len(p.deformation_layers), run.enter(frequency(list(u), p.deformation_octaves)))
+            h = self._chain(run, "deform", len(p.deformation_layers), run.enter(frequency(u, p.deformation_octaves)))
             delta = run.rows(run.linear("deform_out", h))
-            u = mi.Point3f(*[a + p.deformation_scale * b for a, b in zip(list(u), delta, strict=True)])
+            u = [a + p.deformation_scale * b for a, b in zip(u, delta, strict=True)]
 
         encoded = self._encode(u, active)
         h = run.enter(encoded)
@@ -128,14 +135,17 @@ class BoundField:
 
         for i in range(len(p.colour_linear)):
             h = run.linear(f"linear{i}", h)
-        h = run.enter(h, frequency(list(d), p.direction_octaves))
+        seen = frequency(list(d), p.direction_octaves)
+        if p.normal_octaves >= 0:
+            seen += frequency(list(n), p.normal_octaves)
+        h = run.enter(h, seen)
         h = self._chain(run, "colour", len(p.colour_layers), h)
         c = mi.Color3f(*run.rows(run.linear("colour_out", h)))
         return sigma, srgb_to_linear(dr.fma(dr.tanh(0.5 * c), 0.5, 0.5))
 
-    def _encode(self, u: Any, active: mi.Bool | bool) -> list[mi.Float]:
+    def _encode(self, u: list[mi.Float], active: mi.Bool | bool) -> list[mi.Float]:
         if self._encoding is None:
-            return frequency(list(u), self.preset.octaves)
+            return frequency(u, self.preset.octaves)
         return self._encoding(self._grid, u, active)
 
     def _density(self, z: mi.Float) -> mi.Float:

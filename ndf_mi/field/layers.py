@@ -46,15 +46,15 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
     width = 3 * joints
     for i, w in enumerate(preset.pose_layers):
         width = add(f"pose{i}", width, 0, w)
-    pose = width
+    pose = width if preset.pose_layers else 0
 
     if preset.deformation_layers:
-        width = frequency_width(3, preset.deformation_octaves)
+        width = frequency_width(preset.dimension, preset.deformation_octaves)
         for i, w in enumerate(preset.deformation_layers):
             width = add(f"deform{i}", width, pose if i == 0 else 0, w)
-        add("deform_out", width, 0, 3)
+        add("deform_out", width, 0, preset.dimension)
 
-    encoded = frequency_width(3, preset.octaves) if preset.encoding == "frequency" else preset.grid_levels * preset.grid_features
+    encoded = frequency_width(preset.dimension, preset.octaves) if preset.encoding == "frequency" else preset.grid_levels * preset.grid_features
     width = encoded
     for i, w in enumerate(preset.density_layers):
         joined = preset.density_skip > 0 and i == preset.density_skip
@@ -66,6 +66,8 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
         width = add(f"linear{i}", width, pose if i == 1 else 0, w)
     joined_pose = pose if not preset.colour_linear else 0
     width += frequency_width(3, preset.direction_octaves)
+    if preset.normal_octaves >= 0:
+        width += frequency_width(3, preset.normal_octaves)
     for i, w in enumerate(preset.colour_layers):
         width = add(f"colour{i}", width, joined_pose if i == 0 else 0, w)
     add("colour_out", width, 0, 3)

@@ -14,7 +14,7 @@ from ndf_mi.options import read_options
 class Preset:
     """Everything that decides a field's architecture. Every entry is an option of ``ndf-mi optimise``.
 
-    Symbols follow the paper: u* is the projected point (u, v, l) scaled to the unit cube, ũ = u* + `deformation_scale`·D(u*, θ),
+    Symbols follow the paper: u* is the projected point (u, v, l), or what `coordinates` puts in its place, in the unit cube, ũ = u* + `deformation_scale`·D(u*, θ),
     and γ the frequency encoding.
     """
 
@@ -29,8 +29,18 @@ class Preset:
     """Fraction of the band at both its edges over which the density fades smoothly to nothing, so that the field is continuous there;
     0 for the paper's hard edge."""
 
+    coordinates: Literal["texel", "surface", "world"] = "texel"
+    """What the networks take for a place: the closest point's texel (u, v) and l; the closest point on the body at rest (x, y, z) and
+    l, which has no seams; or the point itself, (x, y, z), without projection."""
+
+    distance: Literal["signed", "unsigned", "none"] = "signed"
+    """How l enters the networks (not with `world`): with its sign, without it, or not at all, as 0."""
+
+    strata: int = 1
+    """Factor on the candidate samples a ray: a band thinner than the strata would be missed."""
+
     pose_layers: tuple[int, ...] = (64, 16)
-    """Widths of the pose network; the last is the number of pose features."""
+    """Widths of the pose network; the last is the number of pose features. Empty: nothing depends on the pose."""
 
     deformation_layers: tuple[int, ...] = (32,)
     """Hidden widths of the deformation net D."""
@@ -81,6 +91,10 @@ class Preset:
     direction_octaves: int = 2
     """Octaves of γ on the view direction."""
 
+    normal_octaves: int = -1
+    """Octaves of γ on the world-space normal of the body's surface, which then enters the colour network beside the view direction, so
+    that light which stays in the world while the performer turns need not be learnt from poses; −1 leaves it out."""
+
     density_activation: Literal["relu", "softplus"] = "softplus"
     """Shape of the density's activation below saturation."""
 
@@ -109,9 +123,13 @@ class Preset:
             check(0 <= getattr(self, key) <= 1024, key, "a whole number from 0 to 1024")
         for key in ("pose_layers", "deformation_layers", "density_layers", "colour_layers", "colour_linear"):
             widths = getattr(self, key)
-            needed = key in ("pose_layers", "density_layers")
+            needed = key == "density_layers"
             check(all(type(w) is int and w > 0 for w in widths) and bool(widths or not needed), key, "a list of widths above 0")
+        check(self.coordinates in ("texel", "surface", "world"), "coordinates", "texel, surface or world")
+        check(self.distance in ("signed", "unsigned", "none"), "distance", "signed, unsigned or none")
+        check(self.strata >= 1, "strata", "a whole number from 1 on")
         check(len(self.colour_linear) != 1, "colour_linear", "no layers, or at least two: the pose joins at the second")
+        check(-1 <= self.normal_octaves <= 1024, "normal_octaves", "-1, or a whole number up to 1024")
         check(0 <= self.density_skip < len(self.density_layers), "density_skip",
               f"0, or a number below the {len(self.density_layers)} density layers")
         check(self.encoding in ("frequency", "grid"), "encoding", "frequency or grid")
@@ -121,6 +139,11 @@ class Preset:
         check(self.grid_entries > 0 and self.grid_entries % self.grid_features == 0, "grid_entries", "a multiple of grid_features")
         check(self.grid_base >= 2, "grid_base", "a whole number from 2 on")
         check(self.grid_finest > self.grid_base, "grid_finest", f"a whole number above grid_base, {self.grid_base}")
+
+    @property
+    def dimension(self) -> int:
+        """Number of the coordinates that the networks take: 3, or 4 for a point of the surface and l."""
+        return 4 if self.coordinates == "surface" else 3
 
     def to_dict(self) -> dict[str, Any]:
         """The options as JSON-ready values."""
@@ -133,10 +156,11 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset(),
+    "fast": Preset(normal_octaves=1),
     "tiny": Preset(
         name="tiny", pose_layers=(8, 4), deformation_layers=(8,), deformation_octaves=2, grid_levels=4, grid_entries=2**10,
         grid_base=8, grid_finest=32, density_layers=(16,), feature_width=8, colour_layers=(16,), direction_octaves=1,
+        normal_octaves=0,
     ),
     "paper": Preset(
         name="paper", pose_layers=(256, 128), deformation_layers=(128,), deformation_octaves=10, deformation_scale=0.001,

@@ -42,8 +42,13 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
     if folder.exists() and (not folder.is_dir() or {file.name for file in folder.iterdir()} - unfinished):
         raise InputError(folder, "something there already", "a new or empty folder",
                          "Go on with what is there by --resume, or take another folder.")
+    body = capture.body
+    if options.atlas == "one-piece":
+        from ndf_mi.body.atlas import with_one_piece
+
+        body = with_one_piece(body, capture.poses.vertices[0])
     run = Run.create(
-        folder, preset, capture.body, capture.poses, options.seed,
+        folder, preset, body, capture.poses, options.seed,
         background=[float(v) for v in capture.background],
         capture={"name": capture.name, "digest": capture.digest},
         training=options.to_dict(),

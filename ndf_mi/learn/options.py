@@ -26,6 +26,9 @@ class TrainingOptions:
     samples: int = 64
     """Candidate samples a ray."""
 
+    atlas: str = "body"
+    """Texture coordinates that the field lies over: `body`, the capture's own, or `one-piece`, the body cut open into a single chart."""
+
     skip_empty: bool = True
     """Leave out samples where the field has been found empty, but for a random eighth of them."""
 
@@ -50,6 +53,10 @@ class TrainingOptions:
     decay_steps: int = 0
     """Steps over which `decay` is reached; 0 for the whole training."""
 
+    pose_noise: float = 0.1
+    """Standard deviation, in radians, of noise on the joints' angles that the networks see, drawn anew each step: it keeps them from
+    telling frames apart by their poses."""
+
     opacity_weight: float = 0.05
     """Weight of the mean squared difference of opacity and mask."""
 
@@ -73,9 +80,12 @@ class TrainingOptions:
         for key in ("steps", "rays", "samples", "learning_rate", "grid_rate", "decay", "clip", "checkpoint_seconds"):
             if not 0 < getattr(self, key) < float("inf"):
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number above 0")
-        for key in ("seconds", "edge_kernel", "box_padding", "decay_steps", "opacity_weight", "edge_weight", "edge_below", "seed"):
+        for key in ("seconds", "pose_noise", "edge_kernel", "box_padding", "decay_steps", "opacity_weight", "edge_weight", "edge_below",
+                    "seed"):
             if not 0 <= getattr(self, key) < float("inf"):
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number from 0 on")
+        if self.atlas not in ("body", "one-piece"):
+            raise InputError("option atlas", repr(self.atlas), "body or one-piece")
         if not 0 <= self.mask_share <= 1:
             raise InputError("option mask-share", repr(self.mask_share), "a number in [0, 1]")
 
@@ -92,4 +102,4 @@ class TrainingOptions:
     def paper(cls) -> TrainingOptions:
         """The published schedule and loss."""
         return cls(steps=200_000, edge_kernel=3, learning_rate=5e-4, decay_steps=500_000, opacity_weight=0.0,
-                   skip_empty=False)
+                   skip_empty=False, pose_noise=0.0)

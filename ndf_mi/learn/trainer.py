@@ -59,6 +59,7 @@ class Trainer:
         self._rays = RaySampler(capture, capture.splits["train"], options)
         self._rng = np.random.default_rng([options.seed, 1])
         preset = run.model.field.preset
+        self._candidates = options.rays * options.samples * preset.strata
         self._loss = ImageLoss(options, mi.Color3f(*[float(v) for v in run.background]), preset.band, preset.density_gain)
         self._workspace = Workspace(Compaction(margin=_MARGIN), Compaction(margin=_MARGIN))
         field = run.model.field
@@ -94,13 +95,13 @@ class Trainer:
             self._workspace.inside.settle()
         self._set_rates()
         batch = self._rays(self._rng)
-        jitter = mi.Float(self._rng.random(self.options.rays * self.options.samples, dtype=np.float32))
+        jitter = mi.Float(self._rng.random(self._candidates, dtype=np.float32))
 
         field = self.run.model.field
         field.weights = self._networks["weights"]
         if self._table is not None:
             field.grid = self._table["grid"]
-        posed = PosedModel(field, self.run.surface(batch.frame), self.run.pose_vector(batch.frame), self._occupancy)
+        posed = PosedModel(self.run.model, self.run.surface(batch.frame), self._pose(batch.frame), self._occupancy)
         ray = mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction))
         seen = quadrature(posed, ray, self.options.samples, jitter=jitter, workspace=self._workspace)
         loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask))
@@ -171,6 +172,13 @@ class Trainer:
         if not math.isnan(self._error):
             self._loss.observe(self._error)
         self.publish()
+
+    def _pose(self, frame: int) -> mi.Float:
+        """The frame's pose vector as the networks see it in training: with noise on all joints but the root."""
+        pose = self.run.poses.pose[self.run.poses.index(frame)].astype(np.float32)
+        if self.options.pose_noise > 0:
+            pose[1:] += self._rng.normal(0.0, self.options.pose_noise, pose[1:].shape).astype(np.float32)
+        return mi.Float(pose.ravel())
 
     def _set_rates(self) -> None:
         options = self.options

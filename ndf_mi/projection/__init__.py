@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from ndf_mi.projection.posed import PosedSurface, Projection
-from ndf_mi.projection.surface import Surface
+from ndf_mi.projection.surface import Surface, aligned
 
-__all__ = ["PosedSurface", "Projection", "Surface"]
+__all__ = ["PosedSurface", "Projection", "Surface", "aligned"]

@@ -23,6 +23,9 @@ class VolumeField(Protocol):
 
     bbox: mi.BoundingBox3f
 
+    strata: int
+    """Factor on the candidate samples a ray."""
+
     def near(self, x: mi.Point3f) -> mi.Bool:
         """False only where the field is empty for certain."""
         ...
@@ -82,7 +85,7 @@ def quadrature(
     them reach the network, is detached.
 
     Args:
-        jitter: N·samples numbers in [0, 1) for stratified sampling; None for the strata's middles.
+        jitter: N·samples·strata numbers in [0, 1) for stratified sampling; None for the strata's middles.
         workspace: keeps array sizes steady over calls; a fresh one is made where None.
         geometry: also return (u, v, l) and normals.
     """
@@ -91,6 +94,7 @@ def quadrature(
     ray = mi.Ray3f(ray)
     ray.o = ray.o + dr.zeros(mi.Vector3f, rays)
     ray.d = ray.d + dr.zeros(mi.Vector3f, rays)
+    samples *= volume.strata
     lanes = rays * samples
 
     with dr.suspend_grad():

@@ -22,7 +22,8 @@ def inputs(n=200, seed=0):
 
 def evaluate(field, u, d, pose, mode):
     bound = field.bind(mi.Float(pose.astype(np.float32)))
-    arguments = mi.Point3f(u.astype(np.float32)), mi.Vector3f(d.astype(np.float32))
+    n = d[[2, 0, 1]]
+    arguments = mi.Point3f(u.astype(np.float32)), mi.Vector3f(d.astype(np.float32)), mi.Normal3f(n.astype(np.float32))
     if mode == "fused":
         bound.pack()
     return getattr(bound, mode)(*arguments)
@@ -165,3 +166,13 @@ def test_wrong_options_are_named(change, word):
         Preset.from_dict({"no-such": 1})
     with pytest.raises(InputError, match="paper"):
         preset("nerf")
+
+
+def test_the_normal_changes_colour_alone_and_only_where_the_preset_says_so():
+    u, d, pose = inputs()
+    for name, expected in (("fast", True), ("paper", False)):
+        bound = Field(preset(name), JOINTS, seed=1).bind(mi.Float(pose.astype(np.float32)))
+        arguments = mi.Point3f(u.astype(np.float32)), mi.Vector3f(d.astype(np.float32))
+        (sigma, colour), (other_sigma, other_colour) = (bound.batched(*arguments, mi.Normal3f(*n)) for n in ((0, 0, 1), (0, 1, 0)))
+        assert (sigma.numpy() == other_sigma.numpy()).all()
+        assert bool((colour.numpy() != other_colour.numpy()).any()) is expected

@@ -17,6 +17,7 @@ class Ball:
     """Density `sigma` inside a ball of radius 1 around the origin, coloured by position."""
 
     sigma: mi.Float
+    strata: int = 1
 
     def __post_init__(self):
         self.bbox = mi.BoundingBox3f(mi.Point3f(-1), mi.Point3f(1))

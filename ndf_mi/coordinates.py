@@ -1,0 +1,105 @@
+"""What the networks take for a place: by default the projected point (u*, v*, l*), and the alternatives it is measured against."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.body.body import Body
+from ndf_mi.body.poses import Poses
+from ndf_mi.field import Preset
+from ndf_mi.projection import Projection, aligned
+
+
+class Coordinates(Protocol):
+    """A point of the band as numbers in the unit cube of the preset's `dimension`, attached to the point and to the vertices."""
+
+    def __call__(self, x: mi.Point3f, found: Projection, active: mi.Bool) -> list[mi.Float]:
+        """Coordinates of `x`, whose projection is `found`; zeros in inactive lanes."""
+        ...
+
+
+class Distance:
+    """l as a number in [0, 1]: `signed` from −`band_inside` to `band`, `unsigned` |l| over the band, `none` l = 0 throughout."""
+
+    def __init__(self, preset: Preset) -> None:
+        self._kind = preset.distance
+        self._inside = preset.band_inside
+        self._scale = 1.0 / (preset.band if preset.distance == "unsigned" else preset.band + preset.band_inside)
+
+    def __call__(self, l: mi.Float) -> mi.Float:
+        if self._kind == "unsigned":
+            return dr.abs(l) * self._scale
+        if self._kind == "none":
+            return dr.full(mi.Float, self._inside * self._scale, dr.width(l))
+        return dr.fma(l, self._scale, self._inside * self._scale)
+
+
+class Texel:
+    """(u*, v*, l*): texture coordinates of the closest point, and the distance from it. The paper's."""
+
+    def __init__(self, preset: Preset) -> None:
+        self._distance = Distance(preset)
+
+    def __call__(self, x: mi.Point3f, found: Projection, active: mi.Bool) -> list[mi.Float]:
+        uv = dr.select(active, found.uv, 0.0)
+        return [uv.x, uv.y, self._distance(dr.select(active, found.l, 0.0))]
+
+
+class SurfacePoint:
+    """The closest point on the body at rest, (x, y, z) scaled by one factor into the unit cube, and the distance from it: four
+    numbers without seams (Xu et al. 2022, *Surface-Aligned Neural Radiance Fields*).
+
+    Args:
+        preset: how the distance is given.
+        faces: (F, 3) integers into `rest`.
+        rest: (V, 3) vertices of the body at rest, in metres.
+    """
+
+    def __init__(self, preset: Preset, faces: np.ndarray, rest: np.ndarray) -> None:
+        self._distance = Distance(preset)
+        low, extent = _cube(rest)
+        self._corners = aligned(mi.Float(((rest - low) / extent)[faces].astype(np.float32).ravel()))
+
+    def __call__(self, x: mi.Point3f, found: Projection, active: mi.Bool) -> list[mi.Float]:
+        point = mi.Point3f(0)
+        for k in range(3):
+            corner = dr.gather(mi.Point3f, self._corners, 3 * found.triangle + k, active)
+            point = point + corner * found.barycentric[k]
+        point = dr.select(active, point, 0.0)
+        return [point.x, point.y, point.z, self._distance(dr.select(active, found.l, 0.0))]
+
+
+class World:
+    """(x, y, z) itself, scaled by one factor so that the bodies of all poses, grown by the band, lie in the unit cube; clamped to it."""
+
+    def __init__(self, preset: Preset, poses: Poses) -> None:
+        self._low, self._extent = _cube(poses.vertices.reshape(-1, 3), preset.band)
+
+    def __call__(self, x: mi.Point3f, found: Projection, active: mi.Bool) -> list[mi.Float]:
+        low = mi.Point3f(*[float(v) for v in self._low])
+        return list(dr.clip((dr.select(active, x, low) - low) / self._extent, 0.0, 1.0))
+
+
+def coordinates(preset: Preset, body: Body, poses: Poses) -> Coordinates:
+    """The coordinates that a preset names.
+
+    Args:
+        preset: its `coordinates` and `distance` decide.
+        body: its `template` is the body at rest; without one, the first pose is.
+        poses: the body in all its poses.
+    """
+    if preset.coordinates == "surface":
+        return SurfacePoint(preset, body.faces, poses.vertices[0] if body.template is None else body.template)
+    if preset.coordinates == "world":
+        return World(preset, poses)
+    return Texel(preset)
+
+
+def _cube(points: np.ndarray, padding: float = 0.0) -> tuple[np.ndarray, float]:
+    """Lower corner (3,) and edge length of a cube around points (N, 3)."""
+    low, high = points.min(0).astype(np.float64) - padding, points.max(0).astype(np.float64) + padding
+    return low, max(float((high - low).max()), 1e-12)

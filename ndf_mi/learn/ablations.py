@@ -1,0 +1,60 @@
+"""The published ablations and two more, each as changes to a preset and to the training options."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+from ndf_mi.errors import InputError
+from ndf_mi.field import Preset
+from ndf_mi.learn.options import TrainingOptions
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """One row of the table.
+
+    Attributes:
+        title: what the row is called.
+        meaning: what is taken away or exchanged, in a sentence.
+        preset: changes to the architecture.
+        training: changes to the training.
+    """
+
+    title: str
+    meaning: str
+    preset: dict[str, Any] = field(default_factory=dict)
+    training: dict[str, Any] = field(default_factory=dict)
+
+    def apply(self, preset: Preset, options: TrainingOptions) -> tuple[Preset, TrainingOptions]:
+        """Preset and options of the ablated training."""
+        return dataclasses.replace(preset, **self.preset), dataclasses.replace(options, **self.training)
+
+
+#: A sheet of a centimetre around the skin, in which nothing changes along l: as thin as samples can be trusted to meet.
+#: Its density may be higher, so that so thin a sheet can be opaque, and the term against density at the band's edge is out of place.
+_NAKED = {"distance": "none", "band": 0.005, "band_inside": 0.005, "band_fade": 0.0, "strata": 4, "density_limit": 2000.0}
+
+ABLATIONS: dict[str, Ablation] = {
+    "full": Ablation("full model", "nothing is taken away"),
+    "naked": Ablation("naked model", "l = 0: density and colour live on the body's surface alone", _NAKED, {"edge_weight": 0.0}),
+    "no-pose": Ablation("without pose", "no network sees the pose: one field for all frames", {"pose_layers": ()}),
+    "no-projection": Ablation(
+        "without projection", "(x, y, z) in place of (u, v, l); nothing of the closest point reaches a network",
+        {"coordinates": "world", "normal_octaves": -1},
+    ),
+    "no-deform": Ablation("without deformation", "no deformation net between projection and field", {"deformation_layers": ()}),
+    "one-piece": Ablation("one-piece atlas", "the body is cut open into one chart of texture coordinates", training={"atlas": "one-piece"}),
+    "unsigned": Ablation("unsigned distance", "|l| in place of l", {"distance": "unsigned"}),
+    "surface-point": Ablation(
+        "surface point", "the closest point on the body at rest and l in place of (u, v, l)", {"coordinates": "surface"}
+    ),
+}
+
+
+def ablation(name: str) -> Ablation:
+    """The ablation of that name. Raises InputError naming those there are."""
+    if name not in ABLATIONS:
+        raise InputError("ablation", repr(name), "one of " + ", ".join(ABLATIONS))
+    return ABLATIONS[name]

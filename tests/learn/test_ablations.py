@@ -1,0 +1,39 @@
+"""Every ablation trains: what it takes away is gone, and the rest learns all the same."""
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from ndf_mi.errors import InputError
+from ndf_mi.field import preset
+from ndf_mi.learn.ablations import ABLATIONS, ablation
+from ndf_mi.learn.loop import resume, start, train
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.run import Run
+
+
+@pytest.mark.parametrize("name", list(ABLATIONS))
+def test_an_ablation_trains_and_reads_back(name, capture, tmp_path):
+    options, training = ablation(name).apply(preset("tiny"), TrainingOptions(steps=12, rays=256, samples=32))
+    trainer = start(tmp_path / "run", capture, options, training)
+    train(trainer, quiet=True)
+    assert math.isfinite(trainer.progress.error)
+    loaded = Run.load(tmp_path / "run")
+    assert loaded.model.field.preset == options
+    np.testing.assert_array_equal(loaded.model.field.weights.numpy(), trainer.run.model.field.weights.numpy())
+    assert resume(tmp_path / "run", capture).progress.step == 12
+    x = mi.Point3f(loaded.poses.vertices[0, :50].T)
+    d = mi.Vector3f(0, 0, 1) + 0 * mi.Vector3f(x)
+    posed = loaded.posed(int(loaded.poses.frames[0]))
+    handle, inside = posed.locate(x, mi.Bool(True))
+    assert inside.numpy().any() and np.isfinite(posed.evaluate(x, d, handle, inside).sigma.numpy()).all()
+
+
+def test_each_is_a_change():
+    full = ablation("full").apply(preset("fast"), TrainingOptions())
+    others = [ablation(name).apply(preset("fast"), TrainingOptions()) for name in ABLATIONS if name != "full"]
+    assert full == (preset("fast"), TrainingOptions()) and all(other != full for other in others)
+    with pytest.raises(InputError, match="no-pose"):
+        ablation("no-light")
