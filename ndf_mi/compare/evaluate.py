@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,10 @@ from PIL import Image
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
 from ndf_mi.compare import metrics
+from ndf_mi.compare.flicker import measure_flicker
 from ndf_mi.compare.methods.base import Method
-from ndf_mi.compare.results import Measured, MethodResult, View
+from ndf_mi.compare.protocols import OURS, Protocol
+from ndf_mi.compare.results import FrameSequence, Measured, MethodResult, View
 from ndf_mi.errors import InputError
 
 SPLITS = ("novel_view", "novel_pose", "train")
@@ -22,23 +25,33 @@ LABELS = {"novel_view": "novel views", "novel_pose": "novel poses", "train": "tr
 TRAINING_IMAGES = 4
 
 
-def choose_views(capture: Capture, max_images: int, seed: int = 0) -> list[View]:
-    """The images to measure: of each held-out split all or `max_images`, drawn at random; and a few training images.
+def choose_views(capture: Capture, max_images: int | None, seed: int = 0, protocol: Protocol = OURS) -> list[View]:
+    """The images to measure: of each held-out split all of the protocol's or `max_images`, drawn at random; a few training images.
 
-    A larger `max_images` draws the same images and more, so that what was measured stays of use.
+    A larger `max_images` draws the same images and more, so that what was measured stays of use. None takes the protocol's number.
 
     Raises:
-        InputError: the capture has neither novel views nor novel poses.
+        InputError: the capture has neither novel views nor novel poses, or lacks what the protocol needs.
     """
+    protocol.check(capture)
+    limit = protocol.max_images if max_images is None else max_images
     chosen: list[View] = []
-    for index, split in enumerate(SPLITS):
-        pairs = [View(split, camera, frame) for camera, frame in capture.splits[split]]
-        count = min(max_images, TRAINING_IMAGES) if split == "train" else max_images
+    for index, name in enumerate(SPLITS):
+        split = capture.splits[name]
+        if name != "train":
+            split = replace(split, frames=protocol.frames(split))
+        pairs = [View(name, camera, frame) for camera, frame in split]
+        count = len(pairs) if limit is None else limit
         order = np.random.default_rng([seed, index]).permutation(len(pairs))
-        chosen += [pairs[i] for i in sorted(order[:count])]
+        chosen += [pairs[i] for i in sorted(order[: min(count, TRAINING_IMAGES) if name == "train" else count])]
     if not any(view.split != "train" for view in chosen):
         raise InputError(f"{capture.path}: splits", "no novel_view or novel_pose", "held-out images to compare on")
     return chosen
+
+
+def to_render(views: Sequence[View], sequences: Sequence[FrameSequence]) -> list[View]:
+    """The images that `evaluate` renders, once each: `views`, then what the sequences have beside them."""
+    return list(dict.fromkeys([*views, *(view for sequence in sequences for view in sequence.views)]))
 
 
 def evaluate(
@@ -48,24 +61,33 @@ def evaluate(
     views: Sequence[View],
     pictures: Path,
     done: Callable[[], None],
+    sequences: Sequence[FrameSequence] = (),
 ) -> None:
-    """Renders and measures what `result` lacks of `views`, and leaves exactly `views` in it, in their order.
+    """Renders and measures what `result` lacks, and leaves exactly the images of `to_render` in it, in their order.
 
     Args:
         method: what renders.
-        result: where figures go, image by image.
+        result: where figures go, image by image, and at the end those of the sequences.
         capture: the truth.
-        views: what to render.
-        pictures: folder for the pictures, as 8-bit PNG; figures are of the unrounded images.
+        views: what the means are of.
+        pictures: folder for the pictures, as 8-bit PNG; figures of single images are of the unrounded ones.
         done: called after each new image.
+        sequences: what temporal consistency is measured on.
     """
     known = {image.view: image for image in result.images if (pictures / image.view.file).is_file()}
-    result.images = [known[view] for view in views if view in known]
-    for view in views:
+    wanted, sampled = to_render(views, sequences), set(views)
+
+    def there() -> list[Measured]:
+        return [replace(known[view], sampled=view in sampled) for view in wanted if view in known]
+
+    result.images = there()
+    result.flicker = []
+    for view in wanted:
         if view not in known:
             known[view] = _measure(method, capture, view, pictures)
-            result.images = [known[v] for v in views if v in known]
+            result.images = there()
             done()
+    result.flicker = [measure_flicker(capture, sequence, pictures) for sequence in sequences]
 
 
 def _measure(method: Method, capture: Capture, view: View, pictures: Path) -> Measured:
@@ -76,5 +98,5 @@ def _measure(method: Method, capture: Capture, view: View, pictures: Path) -> Me
     mask = metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)])
     figures = metrics.measure(capture.image(view.camera, view.frame), image, mask)
     with files.replacing(pictures / view.file) as beside:
-        Image.fromarray(np.round(image * 255).astype(np.uint8)).save(beside)
+        Image.fromarray(np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)).save(beside)
     return Measured(view, seconds, figures)

@@ -11,40 +11,32 @@ import math
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera
+from ndf_mi.learn.rays import box_pixels
 
 SSIM_WINDOW = 7
+#: The key of temporal PSNR, which is of a sequence; all others are of an image.
+TEMPORAL = "box_tpsnr"
 LABELS = {
     "box_psnr": "Box PSNR (dB)",
-    "box_ssim": "Box SSIM",
+    "box_ssim": "Box SSIM, data_range 1",
     "box_ssim_range2": "Box SSIM, data_range 2",
     "box_flip": "Box FLIP",
-    "psnr": "Image PSNR (dB)",
-    "ssim": "Image SSIM",
+    TEMPORAL: "Box tPSNR (dB)",
+    "psnr": "Whole-image PSNR (dB)",
+    "ssim": "Whole-image SSIM, data_range 1",
 }
+IMAGE_METRICS = tuple(name for name in LABELS if name != TEMPORAL)
 HIGHER_IS_BETTER = {name: name != "box_flip" for name in LABELS}
 
 
-def box_mask(camera: Camera, vertices: np.ndarray, padding: float = 0.05) -> np.ndarray:
+def box_mask(camera: Camera, vertices: np.ndarray, padding: float = BOX_PADDING) -> np.ndarray:
     """The pixels whose ray through the centre hits the box of `vertices` (V, 3), grown by `padding` metres.
 
     Returns (h, w) bool; distortion is left out. A box behind the camera is not hit; a camera inside the box hits it everywhere.
     """
-    lower = vertices.min(axis=0).astype(np.float64) - padding
-    upper = vertices.max(axis=0).astype(np.float64) + padding
-    transform = np.asarray(camera.transform, dtype=np.float64)
-    x = (np.arange(camera.w) + 0.5 - camera.cx) / camera.fl_x
-    y = (camera.cy - np.arange(camera.h) - 0.5) / camera.fl_y
-    local = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
-    directions = local @ transform[:3, :3].T
-    origin = transform[:3, 3]
-    # A ray parallel to a slab must give an infinite parameter, and never 0/0.
-    directions = np.where(directions == 0, 1e-300, directions)
-    near_planes = (lower - origin) / directions
-    far_planes = (upper - origin) / directions
-    near = np.minimum(near_planes, far_planes).max(axis=-1)
-    far = np.maximum(near_planes, far_planes).min(axis=-1)
-    return (far > near) & (far > 0)
+    return box_pixels(camera, *padded_box(vertices, padding))
 
 
 def bounding_rectangle(mask: np.ndarray) -> tuple[slice, slice] | None:
@@ -69,6 +61,21 @@ def psnr(truth: np.ndarray, image: np.ndarray, mask: np.ndarray | None = None) -
         raise ValueError("PSNR over an empty mask")
     error = float(np.mean(difference**2))
     return math.inf if error == 0 else -10 * math.log10(error)
+
+
+def temporal_psnr(
+    truth: tuple[np.ndarray, np.ndarray], images: tuple[np.ndarray, np.ndarray], mask: np.ndarray
+) -> float:
+    """PSNR in dB of the change from one frame to the next, over the pixels of `mask`; infinite for equal changes.
+
+    −10·log10 of the mean of ((I₂ − I₁) − (G₂ − G₁))², for images I and truth G, two successive frames (h, w, 3) of one camera.
+
+    Raises:
+        ValueError: the shapes differ, or the mask is empty.
+    """
+    before, after = (np.asarray(side, dtype=np.float64) for side in truth)
+    first, second = (np.asarray(side, dtype=np.float64) for side in images)
+    return psnr(after - before, second - first, mask)
 
 
 def ssim(truth: np.ndarray, image: np.ndarray, data_range: float = 1.0) -> float:
@@ -124,7 +131,7 @@ def flip_map(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def measure(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> dict[str, float | None]:
-    """All metrics of one image, by the keys of `LABELS`.
+    """All metrics of one image, by the keys of `IMAGE_METRICS`.
 
     `mask` (h, w) is the image's `box_mask`. FLIP is evaluated on the whole image and averaged over the mask's bounding
     rectangle. A figure that is not defined (the box is out of sight, or smaller than SSIM's window) is None.

@@ -31,13 +31,55 @@ class View:
         return f"{self.split}/{self.camera}/{self.frame:06d}.png"
 
 
+@dataclass(frozen=True)
+class FrameSequence:
+    """Successive frames, two at least, of a split in one of its cameras."""
+
+    split: str
+    camera: str
+    frames: tuple[int, ...]
+
+    @property
+    def views(self) -> list[View]:
+        """The images, in their order."""
+        return [View(self.split, self.camera, frame) for frame in self.frames]
+
+    @property
+    def spacing(self) -> float:
+        """How far apart the frames' numbers are, on average: 1 where none is left out."""
+        return (self.frames[-1] - self.frames[0]) / (len(self.frames) - 1)
+
+
 @dataclass
 class Measured:
-    """One image of one method: seconds that rendering took, and the figures by the keys of `metrics.LABELS`."""
+    """One image of one method.
+
+    Attributes:
+        view: which.
+        seconds: that rendering took.
+        figures: by the keys of `metrics.IMAGE_METRICS`.
+        sampled: whether it counts in the split's means; an image that was rendered for a sequence alone does not.
+    """
 
     view: View
     seconds: float
     figures: dict[str, float | None]
+    sampled: bool = True
+
+
+@dataclass
+class Flicker:
+    """The temporal consistency of one method in one sequence of n frames.
+
+    Attributes:
+        sequence: the frames.
+        tpsnr: (n − 1) temporal PSNR in dB of each pair of frames; None where the body is out of sight.
+        frozen: (n − 1) the same of a picture that does not change, which is how much the truth does.
+    """
+
+    sequence: FrameSequence
+    tpsnr: list[float | None]
+    frozen: list[float | None]
 
 
 @dataclass
@@ -50,6 +92,7 @@ class MethodResult:
         fingerprint: of what was rendered; a changed one makes the images void.
         facts: of its training, JSON values.
         images: measured so far.
+        flicker: of each sequence whose images are all there.
     """
 
     key: str
@@ -57,10 +100,16 @@ class MethodResult:
     fingerprint: str
     facts: dict[str, Any] = field(default_factory=dict)
     images: list[Measured] = field(default_factory=list)
+    flicker: list[Flicker] = field(default_factory=list)
 
     def mean(self, split: str, metric: str) -> float | None:
-        """The mean over the images of a split; None where no image defines the metric."""
-        return metrics.average([image.figures[metric] for image in self.images if image.view.split == split])
+        """The mean over the sampled images of a split, of temporal PSNR that over the pairs of frames of its sequences.
+
+        None where no image, or pair, defines the metric.
+        """
+        if metric == metrics.TEMPORAL:
+            return metrics.average([v for known in self.flicker if known.sequence.split == split for v in known.tpsnr])
+        return metrics.average([i.figures[metric] for i in self.images if i.sampled and i.view.split == split])
 
     def seconds_an_image(self) -> float | None:
         """The median over all images, which leaves out what the first ones spend on compiling."""
@@ -73,7 +122,7 @@ class MethodResult:
 
 @dataclass
 class Results:
-    """A whole comparison. `about` holds what the report says of it: run, capture, command, machine, settings."""
+    """A whole comparison. `about` holds what the report says of it: run, capture, command, machine, settings, protocol."""
 
     about: dict[str, Any] = field(default_factory=dict)
     methods: list[MethodResult] = field(default_factory=list)
@@ -126,10 +175,19 @@ def _method_to_json(method: MethodResult, splits: list[str]) -> dict[str, Any]:
         "facts": method.facts,
         "seconds_an_image": method.seconds_an_image(),
         "means": means,
+        "flicker": [
+            {
+                **asdict(known.sequence),
+                "tpsnr": [metrics.to_json(value) for value in known.tpsnr],
+                "frozen": [metrics.to_json(value) for value in known.frozen],
+            }
+            for known in method.flicker
+        ],
         "images": [
             {
                 **asdict(image.view),
                 "seconds": image.seconds,
+                "sampled": image.sampled,
                 **{key: metrics.to_json(value) for key, value in image.figures.items()},
             }
             for image in method.images
@@ -138,12 +196,22 @@ def _method_to_json(method: MethodResult, splits: list[str]) -> dict[str, Any]:
 
 
 def _method_from_json(document: dict[str, Any]) -> MethodResult:
+    # `sampled` and `flicker` may be absent: files written before sequences were measured have neither.
     images = [
         Measured(
             View(entry["split"], entry["camera"], entry["frame"]),
             entry["seconds"],
-            {key: metrics.from_json(entry[key]) for key in metrics.LABELS},
+            {key: metrics.from_json(entry[key]) for key in metrics.IMAGE_METRICS},
+            entry.get("sampled", True),
         )
         for entry in document["images"]
     ]
-    return MethodResult(document["key"], document["label"], document["fingerprint"], document["facts"], images)
+    flicker = [
+        Flicker(
+            FrameSequence(entry["split"], entry["camera"], tuple(entry["frames"])),
+            [metrics.from_json(value) for value in entry["tpsnr"]],
+            [metrics.from_json(value) for value in entry["frozen"]],
+        )
+        for entry in document.get("flicker", [])
+    ]
+    return MethodResult(document["key"], document["label"], document["fingerprint"], document["facts"], images, flicker)

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 from ndf_mi.compare import metrics
+from ndf_mi.compare.protocols import OURS
 from ndf_mi.compare.results import MethodResult, Results
 
-HEADLINE = ("box_psnr", "box_ssim", "box_flip")
-DECIMALS = {"box_psnr": 2, "psnr": 2}
+HEADLINE = OURS.headline
+DECIMALS = {"box_psnr": 2, "box_tpsnr": 2, "psnr": 2}
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,11 @@ class Row:
     label: str
     cells: tuple[Cell, ...]
     difference: bool = False
+
+
+def headline(results: Results) -> tuple[str, ...]:
+    """The keys of the figures that lead under the protocol that was measured by."""
+    return tuple(results.about.get("protocol", {}).get("headline", HEADLINE))
 
 
 def rows(results: Results, split: str, keys: tuple[str, ...]) -> list[Row]:

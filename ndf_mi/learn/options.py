@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
+from ndf_mi.body.box import BOX_PADDING
 from ndf_mi.errors import InputError
 from ndf_mi.options import read_options
 
@@ -38,7 +39,7 @@ class TrainingOptions:
     edge_kernel: int = 0
     """Pixels whose surroundings of this size hold both performer and background aren't drawn; 0 draws them all, the paper has 3."""
 
-    box_padding: float = 0.05
+    box_padding: float = BOX_PADDING
     """Padding of the body's box in metres, for the pixels drawn."""
 
     learning_rate: float = 2e-3

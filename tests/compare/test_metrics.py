@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
 import pytest
 from skimage.metrics import structural_similarity
 
+from ndf_mi.capture.camera import Camera
 from ndf_mi.compare import metrics
+from ndf_mi.learn.options import TrainingOptions
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def look_at(origin, target, w=40, h=30, focal=35.0, cx=18.5, cy=16.0):
     right /= np.linalg.norm(right)
     transform = np.eye(4)
     transform[:3] = np.stack([right, np.cross(back, right), back, np.asarray(origin, float)], axis=1)
-    return SimpleNamespace(w=w, h=h, fl_x=focal, fl_y=focal * 1.1, cx=cx, cy=cy, transform=transform)
+    return Camera("c", w, h, focal, focal * 1.1, cx, cy, transform)
 
 
 def test_psnr_by_hand():
@@ -37,6 +38,77 @@ def test_psnr_by_hand():
     image[0, 0, 0], image[0, 1, 2] = 0.1, 0.3
     assert metrics.psnr(truth, image) == pytest.approx(17.7815125)
     assert metrics.psnr(truth, image, np.array([[True, False]])) == pytest.approx(24.7712125)
+
+
+def test_temporal_psnr_by_hand():
+    # One row of three pixels, one channel; the third pixel is outside the box.
+    #   truth  0.2 0.5 0.0  →  0.4 0.5 1.0    change +0.2  0.0
+    #   image  0.3 0.5 0.9  →  0.3 0.4 0.0    change  0.0 −0.1
+    # Errors of the change −0.2 and −0.1: mean square (0.04 + 0.01) / 2 = 0.025, 16.0206 dB.
+    truth = (np.array([[[0.2], [0.5], [0.0]]]), np.array([[[0.4], [0.5], [1.0]]]))
+    image = (np.array([[[0.3], [0.5], [0.9]]]), np.array([[[0.3], [0.4], [0.0]]]))
+    mask = np.array([[True, True, False]])
+    assert metrics.temporal_psnr(truth, image, mask) == pytest.approx(16.0205999)
+    # A picture that stands still has the truth's change as its error: 0.04 / 2 = 0.02, 16.9897 dB.
+    assert metrics.temporal_psnr(truth, (image[0], image[0]), mask) == pytest.approx(16.9897000)
+    # An error that stays where it is does not flicker: the same 0.25 on both frames (exact in binary).
+    offset = tuple(side + 0.25 for side in (truth[0] * 0, truth[0] * 0 + 0.5))
+    assert metrics.temporal_psnr((truth[0] * 0, truth[0] * 0 + 0.5), offset, mask) == math.inf
+
+
+def test_box_figures_by_hand():
+    # 8 × 9 pixels, grey. The box is rows 0–6, columns 1–7: exactly one SSIM window. Truth 0.5 in it, image 0.7; outside, the
+    # truth is 0 and the image 1, which only whole-image figures may see.
+    truth, image, mask = np.zeros((8, 9, 3)), np.ones((8, 9, 3)), np.zeros((8, 9), bool)
+    mask[:7, 1:8] = True
+    truth[mask], image[mask] = 0.5, 0.7
+    figures = metrics.measure(truth, image, mask)
+    # Box: MSE 0.04 → 13.9794 dB. Whole: (49 · 0.04 + 23 · 1) / 72 = 24.96 / 72 → 4.6009 dB.
+    assert figures["box_psnr"] == pytest.approx(13.9794001)
+    assert figures["psnr"] == pytest.approx(4.6008825)
+    # Constant windows: (2 · 0.35 + C1) / (0.74 + C1) with C1 = 1e-4 for data_range 1 and 4e-4 for 2.
+    assert figures["box_ssim"] == pytest.approx(0.7001 / 0.7401)
+    assert figures["box_ssim_range2"] == pytest.approx(0.7004 / 0.7404)
+    # Of the whole image's 2 × 3 window centres one window is the box; the mean is over all six.
+    windows = [metrics.ssim(truth[r : r + 7, c : c + 7], image[r : r + 7, c : c + 7]) for r in (0, 1) for c in (0, 1, 2)]
+    assert windows[1] == pytest.approx(0.7001 / 0.7401)
+    assert figures["ssim"] == pytest.approx(np.mean(windows))
+    # Zeros outside the mask are part of the box's rectangle: with one pixel cut out of the mask both sides have a zero there.
+    mask[0, 1] = False
+    cut_truth, cut_image = np.full((7, 7, 3), 0.5), np.full((7, 7, 3), 0.7)
+    cut_truth[0, 0] = cut_image[0, 0] = 0
+    # Means 0.5·48/49 and 0.7·48/49; sample variances 0.5²/49 and 0.7²/49, covariance 0.35/49 (48/49 · 49/48 · 1/49).
+    a, b = 24 / 49, 33.6 / 49
+    expected = (2 * a * b + 1e-4) * (0.7 / 49 + 9e-4) / ((a * a + b * b + 1e-4) * (0.74 / 49 + 9e-4))
+    assert metrics.ssim(cut_truth, cut_image) == pytest.approx(expected)
+    assert metrics.measure(truth, image, mask)["box_ssim"] == pytest.approx(expected)
+    assert metrics.measure(truth, image, mask)["box_psnr"] == pytest.approx(13.9794001)
+
+
+def test_box_mask_by_hand():
+    # A camera at z = 2 looking along −z, 4 × 4 pixels, focal length 4: rays have slopes ±1/8 and ±3/8. The body is one point
+    # at the origin, so the box is ±5 cm; its face towards the camera is 1.95 m away: half extent 0.0256 in slope, no ray hits.
+    transform = np.eye(4)
+    transform[2, 3] = 2
+    camera = Camera("c", 4, 4, 4.0, 4.0, 2.0, 2.0, transform)
+    assert not metrics.box_mask(camera, np.zeros((1, 3))).any()
+    # With the corners ±0.2 the box is ±0.25, its near face 1.75 m away: ±0.1429 in slope, the four middle pixels.
+    expected = np.zeros((4, 4), bool)
+    expected[1:3, 1:3] = True
+    corners = np.array([[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]])
+    assert (metrics.box_mask(camera, corners) == expected).all()
+    # Without padding ±0.2 at 1.8 m: 0.1111 is below 1/8.
+    assert not metrics.box_mask(camera, corners, padding=0.0).any()
+    # Moved by 0.45 m along x, the near face reaches from 0.2 to 0.7: slopes 1/8 and 3/8 meet it at 0.219 and 0.656.
+    expected = np.zeros((4, 4), bool)
+    expected[1:3, 2:4] = True
+    assert (metrics.box_mask(camera, corners + [0.45, 0, 0]) == expected).all()
+
+
+def test_training_and_metrics_share_the_padding():
+    corners = np.array([[-0.2, -0.3, -0.2], [0.2, 0.2, 0.2]])
+    camera = look_at((0.5, 0.4, 2), (0, 0, 0))
+    assert (metrics.box_mask(camera, corners) == metrics.box_mask(camera, corners, TrainingOptions().box_padding)).all()
 
 
 def test_psnr_of_identical_images_is_infinite_and_survives_json(pair):
@@ -108,7 +180,7 @@ def test_box_behind_the_camera_and_around_it():
 
 def test_measure_without_a_box_in_sight(pair):
     figures = metrics.measure(*pair, np.zeros(pair[0].shape[:2], bool))
-    assert set(figures) == set(metrics.LABELS)
+    assert set(figures) == set(metrics.IMAGE_METRICS)
     assert figures["box_psnr"] is None and figures["box_ssim"] is None and figures["box_flip"] is None
     assert figures["psnr"] == pytest.approx(metrics.psnr(*pair))
 

@@ -1,0 +1,136 @@
+"""What each protocol measures of a capture, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ndf_mi.capture.document import Split
+from ndf_mi.compare import metrics
+from ndf_mi.compare.evaluate import choose_views
+from ndf_mi.compare.flicker import choose_sequences
+from ndf_mi.compare.protocols import DYNACAP, OURS, PROTOCOLS, ZJU, named
+from ndf_mi.compare.results import View
+from ndf_mi.errors import InputError
+
+
+def layout(train=4, test=17, seen=range(60), novel=range(60, 260), background=0.0):
+    """A capture's splits without its images."""
+    cameras = tuple(f"c{i:02d}" for i in range(train + test))
+    held = cameras[train:]
+    return SimpleNamespace(
+        path=Path("capture"),
+        background=np.full(3, background, np.float32),
+        splits={
+            "train": Split(cameras[:train], tuple(seen)),
+            "novel_view": Split(held, tuple(seen)),
+            "novel_pose": Split(held, tuple(novel)),
+        },
+    )
+
+
+def frames(views, split):
+    return sorted({view.frame for view in views if view.split == split})
+
+
+def test_zju_measures_every_thirtieth_frame_of_all_test_cameras():
+    views = choose_views(layout(test=19, seen=range(700, 1000), novel=range(0, 200)), None, protocol=ZJU)
+    assert frames(views, "novel_view") == list(range(700, 1000, 30))
+    assert frames(views, "novel_pose") == [0, 30, 60, 90, 120, 150, 180]
+    held_out = [view for view in views if view.split != "train"]
+    assert len(held_out) == 19 * (10 + 7) == len(set(held_out))
+    assert sum(view.split == "train" for view in views) == 4
+
+
+def test_a_split_thinned_out_before_is_measured_whole():
+    every = layout(seen=range(60), novel=range(0))
+    # The capture holds only what is measured of the novel poses: frames 60, 90, …, 240.
+    every.splits["novel_pose"] = Split(every.splits["novel_pose"].cameras, tuple(range(60, 260, 30)))
+    views = choose_views(every, None, protocol=ZJU)
+    assert frames(views, "novel_pose") == list(range(60, 260, 30))
+
+
+def test_dynacap_measures_five_cameras():
+    views = choose_views(layout(10, 5, range(1000), range(1000, 2000)), None, protocol=DYNACAP)
+    for split, first in (("novel_view", 0), ("novel_pose", 1000)):
+        assert frames(views, split) == list(range(first, first + 1000, 30))
+        assert sum(view.split == split for view in views) == 5 * 34
+
+
+def test_fewer_images_are_drawn_from_the_protocols():
+    capture = layout()
+    part = choose_views(capture, 5, protocol=ZJU)
+    assert set(part) <= set(choose_views(capture, None, protocol=ZJU))
+    assert [sum(v.split == split for v in part) for split in ("novel_view", "novel_pose")] == [5, 5]
+
+
+def test_ours_takes_any_capture_and_48_images():
+    tiny = layout(1, 1, range(2), range(2, 3))
+    assert View("novel_pose", "c01", 2) in choose_views(tiny, None)
+    views = choose_views(layout(), None, protocol=OURS)
+    assert [sum(v.split == split for v in views) for split in ("novel_view", "novel_pose")] == [48, 48]
+
+
+def test_sequences_are_of_the_split_and_not_of_every_thirtieth_frame():
+    novel = {sequence.split: sequence for sequence in choose_sequences(layout(), 12)}["novel_pose"]
+    assert novel.frames == tuple(range(60, 72)) and novel.spacing == 1
+
+
+CASES = {
+    "training cameras": (layout(train=5), r"splits.train.cameras.*5 cameras.*4 cameras, for protocol zju"),
+    "test cameras": (layout(test=4), r"splits.novel_view.cameras.*4 cameras.*at least 17"),
+    "training frames": (layout(seen=range(30)), r"splits.train.frames.*30 frames.*at least 60"),
+    "novel poses": (layout(novel=range(60, 100)), r"splits.novel_pose.frames.*40 frames.*30th makes 2.*at least 7"),
+    "no novel poses": (layout(novel=()), r"splits.novel_pose.frames.*0 frames"),
+    "poses trained on": (layout(novel=range(59, 300)), r"novel_pose.frames.*frame 59, a training frame.*not trained on"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_capture_that_lacks_what_the_protocol_needs_is_refused(case):
+    capture, expected = CASES[case]
+    with pytest.raises(InputError, match=expected) as refused:
+        choose_views(capture, None, protocol=ZJU)
+    assert "--protocol ours" in refused.value.mend
+
+
+def test_cameras_trained_on_are_no_test_cameras():
+    capture = layout()
+    capture.splits["novel_view"] = Split(("c03", *capture.splits["novel_view"].cameras), tuple(range(60)))
+    with pytest.raises(InputError, match="c03, a training camera"):
+        ZJU.check(capture)
+
+
+def test_views_of_frames_not_trained_on_are_refused():
+    capture = layout()
+    capture.splits["novel_view"] = Split(capture.splits["novel_view"].cameras, tuple(range(90)))
+    with pytest.raises(InputError, match="frame 60, no training frame"):
+        ZJU.check(capture)
+
+
+def test_what_differs_in_training_is_said():
+    grey = layout(background=0.5)
+    assert ZJU.notes({"edge_kernel": 3}, layout()) == []
+    kernel, background = ZJU.notes({"edge_kernel": 0}, grey)
+    assert "kernel is 0" in kernel and "--edge-kernel 3" in kernel and "(0.50, 0.50, 0.50)" in background
+    assert "not known" in ZJU.notes(None, layout())[0]
+    assert OURS.notes(None, grey) == []
+
+
+def test_headlines_name_both_data_ranges():
+    for protocol in PROTOCOLS.values():
+        assert set(protocol.headline) <= set(metrics.LABELS) and metrics.TEMPORAL in protocol.headline
+    for protocol in (ZJU, DYNACAP):
+        labels = [metrics.LABELS[key] for key in protocol.headline]
+        assert "Box SSIM, data_range 1" in labels and "Box SSIM, data_range 2" in labels
+    whole = [label for key, label in metrics.LABELS.items() if not key.startswith("box")]
+    assert whole and all(label.startswith("Whole-image") for label in whole)
+
+
+def test_names():
+    assert [named(name).name for name in PROTOCOLS] == ["ours", "zju", "dynacap"]
+    with pytest.raises(InputError, match="option protocol.*'human36m'.*one of ours, zju, dynacap"):
+        named("human36m")
