@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -30,8 +30,14 @@ class Compare:
     mesh_seconds: float | None = None
     """Seconds of training for the mesh of equal time; the run's own training time by default."""
 
-    max_images: int = 48
-    """Images measured of the novel views, and of the novel poses."""
+    protocol: Literal["ours", "zju", "dynacap"] = "ours"
+    """Which images are measured, what the capture must hold and which figures lead; docs/protocols.md describes each."""
+
+    max_images: int | None = None
+    """Images measured of the novel views, and of the novel poses; 48 by default, under `zju` and `dynacap` all."""
+
+    sequence: int = 12
+    """Successive frames of each split, in one camera, that temporal consistency is measured on; 0 leaves it out."""
 
     texture: int = 512
     """Texels a side of the mesh's texture."""
@@ -49,7 +55,9 @@ class Compare:
         from ndf_mi.compare.report import command_line
 
         folder = self.out or self.run_folder
-        settings = Settings(self.mesh_seconds, self.max_images, self.texture, self.samples, self.seed)
+        settings = Settings(
+            self.mesh_seconds, self.max_images, self.texture, self.samples, self.seed, self.protocol, self.sequence
+        )
         comparison = Comparison(self.run_folder, self.capture, folder, settings, command_line(self._arguments()))
         with ConsoleWatcher(sys.stderr) as watcher:
             results = comparison.run(watcher)

@@ -52,15 +52,16 @@ class ConsoleWatcher:
 
 
 def print_tables(results: Results) -> None:
-    """Prints the headline figures of each split, and how the meshes were trained, on stdout."""
+    """Prints the headline figures of each split, how far the protocol was kept to, and how the meshes were trained, on stdout."""
     console = Console()
     for split in results.splits():
         table = Table(title=LABELS[split].capitalize(), title_justify="left", box=None, pad_edge=False)
         table.add_column("")
-        for key in tables.HEADLINE:
+        keys = tables.headline(results)
+        for key in keys:
             table.add_column(metrics.LABELS[key], justify="right")
-        for row in tables.rows(results, split, tables.HEADLINE):
+        for row in tables.rows(results, split, keys):
             table.add_row(row.label, *(cell.text for cell in row.cells), style="dim" if row.difference else "")
         console.print(table)
-    for note in filter(None, map(tables.mesh_note, results.methods)):
+    for note in (*tables.protocol_notes(results), *filter(None, map(tables.mesh_note, results.methods))):
         console.print(note, highlight=False)

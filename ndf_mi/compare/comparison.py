@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ndf_mi.capture.capture import Capture
-from ndf_mi.compare import machine
-from ndf_mi.compare.evaluate import choose_views, evaluate
+from ndf_mi.compare import machine, protocols
+from ndf_mi.compare.evaluate import choose_views, evaluate, to_render
+from ndf_mi.compare.flicker import choose_sequences
 from ndf_mi.compare.methods.base import Method
 from ndf_mi.compare.methods.mesh import TexturedMesh
 from ndf_mi.compare.methods.ndf import NeuralField
@@ -33,22 +34,29 @@ class Settings:
 
     Attributes:
         mesh_seconds: time for the mesh of equal time; None takes the run's own training time.
-        max_images: images measured of each held-out split.
+        max_images: images measured of each held-out split; None takes the protocol's number, 48 for `ours`.
         texture: texels a side of the mesh's texture.
         samples: candidate samples a ray of the field.
         seed: of the choice of images and of the mesh's training.
+        protocol: name of the protocol that images are chosen by.
+        sequence: successive frames a split that temporal consistency is measured on; 0 leaves it out.
     """
 
     mesh_seconds: float | None = None
-    max_images: int = 48
+    max_images: int | None = None
     texture: int = 512
     samples: int = 128
     seed: int = 0
+    protocol: str = protocols.OURS.name
+    sequence: int = 12
 
     def __post_init__(self) -> None:
         for key in ("max_images", "texture", "samples"):
-            if getattr(self, key) < 1:
+            if getattr(self, key) is not None and getattr(self, key) < 1:
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "at least 1")
+        if self.sequence < 0 or self.sequence == 1:
+            raise InputError("option sequence", repr(self.sequence), "at least 2, or 0 to leave temporal consistency out")
+        protocols.named(self.protocol)
         if self.mesh_seconds is not None and not 0 < self.mesh_seconds < float("inf"):
             raise InputError("option mesh-seconds", repr(self.mesh_seconds), "a number of seconds above 0")
         if self.seed < 0:
@@ -97,7 +105,9 @@ class Comparison:
         expect_capture(self._run, self._capture)
         self._field = NeuralField(self._run, settings.samples)
         self._budget = self._mesh_seconds()
-        self._views = choose_views(self._capture, settings.max_images, settings.seed)
+        self._protocol = protocols.named(settings.protocol)
+        self._views = choose_views(self._capture, settings.max_images, settings.seed, self._protocol)
+        self._sequences = choose_sequences(self._capture, settings.sequence)
         known = Results.read(self.folder / RESULTS) if (self.folder / RESULTS).exists() else Results()
         self.results = Results(self._about(command), known.methods)
 
@@ -163,11 +173,13 @@ class Comparison:
         # What an earlier call measured of the other methods stays, until their turn comes.
         self.results.methods = [method for method in self.results.methods if method.key != key] + [result]
 
+        images = len(to_render(self._views, self._sequences))
+
         def done() -> None:
             self.results.write(self.folder / RESULTS)
-            watcher.measured(label, len(result.images), len(self._views))
+            watcher.measured(label, len(result.images), images)
 
-        evaluate(method, result, self._capture, self._views, self._work / PICTURES / key, done)
+        evaluate(method, result, self._capture, self._views, self._work / PICTURES / key, done, self._sequences)
 
     def _mesh_seconds(self) -> float:
         seconds = self.settings.mesh_seconds or self._field.facts()["seconds"]
@@ -190,6 +202,9 @@ class Comparison:
                 **{split: _extent(self._capture, split) for split in self._capture.splits},
             },
             "measured": {split: sum(view.split == split for view in self._views) for split in self._capture.splits},
+            "protocol": self._protocol.facts(
+                self._run.config.get("training"), self._capture, self.settings.max_images
+            ),
             "equal_seconds": self._budget,
             "settings": asdict(self.settings),
             "command": command,

@@ -89,12 +89,15 @@ class Protocol:
             found = f"frame {wrong[0]}, {'a' if novel else 'no'} training frame"
             raise self._lacks(capture, f"{name}.frames", found, f"frames {'not ' if novel else ''}trained on")
 
-    def notes(self, training: Mapping[str, Any] | None, capture: Capture) -> list[str]:
+    def notes(
+        self, training: Mapping[str, Any] | None, capture: Capture, max_images: int | None = None
+    ) -> list[str]:
         """Sentences on where training and images differ from the protocol's; empty where they don't.
 
         Args:
             training: the run's training options by name; None where they are not known.
-            capture: whose background is looked at.
+            capture: whose background is looked at, and the number of whose images.
+            max_images: what `choose_views` was given.
         """
         notes = []
         kernel = (training or {}).get("edge_kernel")
@@ -107,15 +110,21 @@ class Protocol:
         if self.black and capture.background.any():
             colour = ", ".join(f"{value:.2f}" for value in capture.background)
             notes.append(f"The protocol's images are over black; this capture's background is ({colour}) in sRGB.")
+        images = [len(capture.splits[name].cameras) * len(self.frames(capture.splits[name])) for name in HELD_OUT]
+        if self.max_images is None and max_images is not None and max_images < max(images):
+            whole = " and ".join(map(str, images))
+            notes.append(f"At most {max_images} images a split are measured; the protocol measures all, {whole}.")
         return notes
 
-    def facts(self, training: Mapping[str, Any] | None, capture: Capture) -> dict[str, Any]:
-        """What `compare.json` and the report say of it: JSON values."""
+    def facts(
+        self, training: Mapping[str, Any] | None, capture: Capture, max_images: int | None = None
+    ) -> dict[str, Any]:
+        """What `compare.json` and the report say of it, JSON values; arguments as of `notes`."""
         return {
             "name": self.name,
             "description": self.description,
             "headline": list(self.headline),
-            "notes": self.notes(training, capture),
+            "notes": self.notes(training, capture, max_images),
         }
 
     def _lacks(self, capture: Capture, key: str, found: str, expected: str) -> InputError:

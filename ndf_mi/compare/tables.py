@@ -35,6 +35,11 @@ def headline(results: Results) -> tuple[str, ...]:
     return tuple(results.about.get("protocol", {}).get("headline", HEADLINE))
 
 
+def protocol_notes(results: Results) -> list[str]:
+    """Sentences on where training, images or their number differ from the protocol's."""
+    return list(results.about.get("protocol", {}).get("notes", []))
+
+
 def rows(results: Results, split: str, keys: tuple[str, ...]) -> list[Row]:
     """A row a method with the means over a split, and below it how far the first method is from each other one."""
     methods = results.methods

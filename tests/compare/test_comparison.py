@@ -19,7 +19,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import PRESETS
 from ndf_mi.run import Run
 
-SETTINGS = Settings(max_images=1, texture=32, samples=16)
+SETTINGS = Settings(max_images=1, texture=32, samples=16, sequence=0)
 
 
 class Watcher:
@@ -150,7 +150,7 @@ def test_a_run_without_training_time_needs_the_option(run, capture, tmp_path, mo
 
 
 @pytest.mark.parametrize(
-    "option", [{"max_images": 0}, {"texture": 0}, {"samples": -1}, {"mesh_seconds": 0.0}, {"seed": -1}]
+    "option", [{"max_images": 0}, {"texture": 0}, {"samples": -1}, {"mesh_seconds": 0.0}, {"seed": -1}, {"sequence": 1}]
 )
 def test_options_are_checked(option):
     with pytest.raises(InputError, match="option"):

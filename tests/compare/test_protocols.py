@@ -117,7 +117,11 @@ def test_what_differs_in_training_is_said():
     kernel, background = ZJU.notes({"edge_kernel": 0}, grey)
     assert "kernel is 0" in kernel and "--edge-kernel 3" in kernel and "(0.50, 0.50, 0.50)" in background
     assert "not known" in ZJU.notes(None, layout())[0]
-    assert OURS.notes(None, grey) == []
+    assert OURS.notes(None, grey, 3) == []
+    # 17 cameras; 2 frames of the novel views and 7 of the novel poses.
+    assert ZJU.notes({"edge_kernel": 5}, layout(), 200) == []
+    (part,) = ZJU.notes({"edge_kernel": 5}, layout(), 40)
+    assert "At most 40" in part and "34 and 119" in part
 
 
 def test_headlines_name_both_data_ranges():
