@@ -15,6 +15,7 @@ from PIL import Image
 COLOUR_MAP = "magma"
 #: Stands for the page's text colour in drawings, which follows the reader's light or dark theme.
 _INK = "#123456"
+_LINES = ("#3b82c4", "#d97a2b", "#7a9a3a", "#b0559e", "#c9a227", "#4aa3a2")
 
 
 def data_uri(image: np.ndarray) -> str:
@@ -50,16 +51,31 @@ def gradient() -> str:
 
 
 def line_chart(
-    series: Sequence[tuple[str, Sequence[float], Sequence[float]]], x_label: str, y_label: str, title: str
+    series: Sequence[tuple[str, Sequence[float], Sequence[float]]],
+    x_label: str,
+    y_label: str,
+    title: str,
+    reference: tuple[str, Sequence[float], Sequence[float]] | None = None,
 ) -> str:
-    """A small line chart as an `<svg>` element in the page's text colour; `series` holds (label, x, y)."""
+    """A small line chart as an `<svg>` element in the page's text colour.
+
+    Args:
+        series: (label, x, y) a line; NaN leaves a gap.
+        x_label, y_label: of the axes.
+        title: above the chart.
+        reference: (label, x, y) of a dashed line in the text's colour.
+    """
     figure = Figure(figsize=(4.6, 2.9))
     FigureCanvasSVG(figure)
     axes = figure.add_subplot()
     for index, (label, x, y) in enumerate(series):
         # A point alone has no line.
         marker = "o" if len(x) < 3 else None
-        axes.plot(x, y, label=label, linewidth=1.6, marker=marker, color=("#3b82c4", "#d97a2b", "#7a9a3a")[index % 3])
+        axes.plot(x, y, label=label, linewidth=1.6, marker=marker, color=_LINES[index % len(_LINES)])
+    if reference is not None:
+        label, x, y = reference
+        marker = "_" if len(x) < 3 else None
+        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", marker=marker, color=_INK, alpha=0.6)
     axes.set_xlabel(x_label, color=_INK)
     axes.set_ylabel(y_label, color=_INK)
     axes.set_title(title, color=_INK, fontsize=10, loc="left")
@@ -67,7 +83,7 @@ def line_chart(
     axes.grid(color=_INK, alpha=0.15, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(_INK)
-    if len(series) > 1:
+    if len(series) > 1 or reference is not None:
         axes.legend(frameon=False, labelcolor=_INK, fontsize=9)
     figure.tight_layout()
     stream = io.StringIO()

@@ -11,17 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from ndf_mi import files
+from ndf_mi.body.box import BOX_PADDING
 from ndf_mi.capture.capture import Capture
 from ndf_mi.compare import metrics, tables
 from ndf_mi.compare.evaluate import LABELS as SPLIT_LABELS
 from ndf_mi.compare.pictures import line_chart
+from ndf_mi.compare.report_flicker import flicker_section
 from ndf_mi.compare.report_pictures import pictures_section
 from ndf_mi.compare.report_style import CSS
 from ndf_mi.compare.results import MethodResult, Results
 
 _METRIC_NOTES = (
-    "Box figures look only at the pixels whose ray hits the body's 3D box, padded by 5 cm: whole-image figures are "
-    "higher, because every method gets the background right. PSNR is taken an image at a time, then averaged.",
+    f"Box figures look only at the pixels whose ray hits the body's 3D box, padded by {100 * BOX_PADDING:g} cm: whole-image "
+    "figures are higher, because every method gets the background right. PSNR is taken an image at a time, then averaged; tPSNR a pair of "
+    "frames at a time.",
     "SSIM is computed in the bounding rectangle of those pixels, with zeros outside them, a 7×7 uniform window and the "
     "sample covariance. With data_range 2, which some published figures use, it comes out higher; both are given.",
     "FLIP is NVIDIA's perceptual error at 67 pixels a degree, averaged over the same rectangle; 0 is equal, lower is "
@@ -52,8 +55,9 @@ def write_report(
         _cards(results),
         "<h2>Figures</h2>",
         _headline_table(results),
-        *(f'<p class="soft">{escape(note)}</p>' for note in _mesh_notes(results)),
+        *(f'<p class="soft">{escape(note)}</p>' for note in (*tables.protocol_notes(results), *_mesh_notes(results))),
         pictures_section(results, capture, pictures),
+        flicker_section(results, capture, pictures),
         "<h2>Training</h2>",
         _times(results),
         _curves(results, history),
@@ -77,9 +81,14 @@ def _lead(results: Results) -> str:
     parts = [f"{measured[split]} of {SPLIT_LABELS[split]}" for split in results.splits()]
     train = results.about["capture"]["train"]
     return (
-        f"Both were trained on the same images, {train['frames']} frames from {train['cameras']} cameras. "
-        f"Images compared: {escape(', '.join(parts))}."
+        f"{'Both' if len(results.methods) == 2 else 'All'} were trained on the same images, {train['frames']} frames from "
+        f"{train['cameras']} cameras. Images compared: {escape(', '.join(parts))}. {escape(_protocol(results))}"
     )
+
+
+def _protocol(results: Results) -> str:
+    protocol = results.about["protocol"]
+    return f"Protocol {protocol['name']}: {protocol['description']}"
 
 
 def _cards(results: Results) -> str:
@@ -104,7 +113,7 @@ def _held_out(results: Results) -> list[str]:
 
 def _headline_table(results: Results) -> str:
     splits = _held_out(results)
-    keys = tables.HEADLINE
+    keys = tables.headline(results)
     labels = (SPLIT_LABELS[split].capitalize() for split in splits)
     groups = "".join(f'<th class="group" colspan="{len(keys)}">{label}</th>' for label in labels)
     heads = "".join(f"<th>{escape(metrics.LABELS[key])}</th>" for key in keys) * len(splits)
@@ -119,7 +128,10 @@ def _full_table(results: Results, split: str) -> str:
     heads = "".join(f"<th>{escape(metrics.LABELS[key])}</th>" for key in keys)
     body = "".join(_row(row.label, list(row.cells), row.difference) for row in tables.rows(results, split, keys))
     count = results.about["measured"][split]
-    caption = f"<caption>{SPLIT_LABELS[split].capitalize()}, means over {count} images</caption>"
+    pairs = sum(len(known.tpsnr) for known in results.methods[0].flicker if known.sequence.split == split)
+    couples = f"{pairs} pair{'s' * (pairs > 1)} of frames"
+    over = f"{count} images, of tPSNR over {couples}" if pairs else f"{count} images"
+    caption = f"<caption>{SPLIT_LABELS[split].capitalize()}, means over {over}</caption>"
     head = f"<thead><tr><th></th>{heads}</tr></thead>"
     return f'<div class="scroll"><table>{caption}{head}<tbody>{body}</tbody></table></div>'
 
@@ -177,6 +189,7 @@ def _origin(results: Results) -> str:
         "Run": escape(about["run"]),
         "Capture": f"{escape(about['capture']['name'])}, digest {escape(about['capture']['digest'][:16])}…",
         **{label: escape(value) for label, value in about["machine"].items()},
+        "Protocol": escape(_protocol(results)),
         "Comparison": _settings(about["settings"]),
     }
     for method in results.methods:

@@ -24,6 +24,7 @@ table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .
 caption { text-align: left; padding-bottom: .5rem; font-size: .9rem; }
 th, td { padding: .38rem .8rem; text-align: right; border-bottom: 1px solid var(--rule); white-space: nowrap; }
 th { font-weight: 500; color: var(--soft); font-size: .88rem; }
+thead th { white-space: normal; vertical-align: bottom; }
 thead th.group { text-align: center; color: var(--ink); border-bottom: 2px solid var(--rule); }
 th:first-child, td:first-child { text-align: left; padding-left: 0; }
 tbody th { color: var(--ink); font-size: 1rem; }
@@ -37,6 +38,7 @@ table.facts th { text-align: left; padding-left: 0; vertical-align: top; font-si
 .row img { width: 100%; display: block; border-radius: 3px; background: var(--shade); }
 .row .head { font-size: .8rem; line-height: 1.3; font-weight: 500; align-self: end; }
 .row figcaption { font-size: .8rem; line-height: 1.3; font-variant-numeric: tabular-nums; padding-top: .15rem; }
+.row.strip .head { align-self: center; }
 .scale { display: flex; align-items: center; gap: .6rem; font-size: .85rem; color: var(--soft); margin: .8rem 0; }
 .scale .bar { width: 12rem; height: .7rem; border-radius: 2px; }
 .charts { display: grid; grid-template-columns: repeat(auto-fit, minmax(20rem, 1fr)); gap: 1rem; }

@@ -15,6 +15,8 @@ from PIL import Image
 
 from ndf_mi.compare import pictures, tables
 from ndf_mi.compare.evaluate import choose_views, evaluate
+from ndf_mi.compare.flicker import choose_sequences
+from ndf_mi.compare.protocols import OURS, ZJU
 from ndf_mi.compare.report import command_line, write_report
 from ndf_mi.compare.results import Measured, MethodResult, Results, View
 from ndf_mi.errors import InputError
@@ -58,6 +60,7 @@ def measured(capture, folder):
             "run": "runs/a<b",
             "capture": {"name": capture.name, "digest": capture.digest, "train": {"cameras": 4, "frames": 2}},
             "measured": {split: sum(v.split == split for v in views) for split in capture.splits},
+            "protocol": OURS.facts(None, capture),
             "equal_seconds": 61.0,
             "settings": {"texture": 64},
             "command": "ndf-mi compare 'runs/a<b'",
@@ -70,7 +73,8 @@ def measured(capture, folder):
         ("mesh-converged", "Mesh, to convergence", 0.0, mesh_facts(None)),
     ):
         result = MethodResult(key, label, f"print of {key}", facts)
-        evaluate(Shifted(capture, shift), result, capture, views, folder / key, lambda: None)
+        sequences = choose_sequences(capture, 12)
+        evaluate(Shifted(capture, shift), result, capture, views, folder / key, lambda: None, sequences)
         made.methods.append(result)
     return made
 
@@ -78,21 +82,6 @@ def measured(capture, folder):
 @pytest.fixture
 def results(measured):
     return copy.deepcopy(measured)
-
-
-def test_views_cover_the_splits_and_grow_without_changing(capture):
-    few, many = choose_views(capture, 1), choose_views(capture, 100)
-    assert set(few) <= set(many)
-    assert len(many) == len(set(many)) == 4 + 2 + 4
-    assert {view.split for view in few} == {"novel_view", "novel_pose", "train"}
-
-
-def test_a_capture_without_held_out_images_is_refused(capture, monkeypatch):
-    empty = type(capture.splits["train"])((), ())
-    monkeypatch.setitem(capture.splits, "novel_view", empty)
-    monkeypatch.setitem(capture.splits, "novel_pose", empty)
-    with pytest.raises(InputError, match="splits"):
-        choose_views(capture, 4)
 
 
 def test_figures_of_known_pictures(results):
@@ -115,19 +104,6 @@ def test_other_files_are_refused(tmp_path, text):
     (tmp_path / "compare.json").write_text(text)
     with pytest.raises(InputError, match="compare.json"):
         Results.read(tmp_path / "compare.json")
-
-
-def test_only_what_is_missing_is_rendered(capture, tmp_path):
-    views = choose_views(capture, 2)
-    method, result, calls = Shifted(capture, 0.1), MethodResult("m", "M", ""), []
-    evaluate(method, result, capture, views[:3], tmp_path, lambda: calls.append(len(result.images)))
-    assert method.rendered == 3 and calls == [1, 2, 3]
-    evaluate(method, result, capture, views, tmp_path, lambda: None)
-    assert method.rendered == len(views)
-    assert [image.view for image in result.images] == views
-    (tmp_path / views[0].file).unlink()
-    evaluate(method, result, capture, views, tmp_path, lambda: None)
-    assert method.rendered == len(views) + 1
 
 
 def test_differences_and_text():
@@ -189,12 +165,15 @@ def test_report_is_one_valid_file_with_the_pictures(results, capture, folder, tm
     assert not page.open
     assert "script" not in page.tags and "link" not in page.tags
     assert not re.search(r'(src|href)="https?:', text)
-    # Two views, two poses and one training view: truth, three methods and three error maps each.
-    assert len(page.sources) == 5 * 7
+    # Two views, two poses and one training view: truth, three methods and three error maps each. Two sequences of one pair of
+    # frames: what changes in truth, and three methods' errors of it.
+    assert len(page.sources) == 5 * 7 + 2 * 4
     for source in page.sources:
         picture = Image.open(io.BytesIO(base64.b64decode(source.removeprefix("data:image/png;base64,"))))
         assert picture.format == "PNG" and min(picture.size) > 10
-    assert text.count("<svg") == 2
+    assert text.count("<svg") == 2 + 2
+    assert "means over 2 images, of tPSNR over 1 pairs" in page.text and "frames 2 to 5" not in page.text
+    assert "Camera n0, 2 frames from 2 to 5, 3 apart on average." in page.text
     for expected in ("40.00", "20.00", "∞", "NDF − Mesh, equal time", "+20.00", "runs/a<b", "12 s", "1 min 01 s"):
         assert expected in page.text, expected
 
@@ -203,7 +182,24 @@ def test_a_mesh_that_converged_early_is_said_to_stand_for_equal_time(results, ca
     results.methods.pop(1)
     write_report(tmp_path / "report.html", results, capture, folder, [])
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "stands for equal time" in text and text.count("<svg") == 1
+    assert "stands for equal time" in text and text.count("<svg") == 1 + 2
+
+
+def test_a_report_without_sequences_has_no_section_for_them(results, capture, folder, tmp_path):
+    for method in results.methods:
+        method.flicker = []
+    write_report(tmp_path / "report.html", results, capture, folder, [])
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Temporal consistency" not in text and "of frames</caption>" not in text
+
+
+def test_the_protocol_leads_the_table_and_is_named(results, capture, folder, tmp_path):
+    results.about["protocol"] = ZJU.facts({"edge_kernel": 0}, capture)
+    write_report(tmp_path / "report.html", results, capture, folder, [])
+    page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "Protocol zju: ZJU-MoCap" in page.text and "the run's kernel is 0" in page.text
+    headline = page.text[page.text.index("Figures") : page.text.index("Pictures")]
+    assert "Box SSIM, data_range 2" in headline and "FLIP" not in headline
 
 
 def test_error_scale_is_round_and_covers_the_errors():
