@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from dataclasses import dataclass, field
@@ -228,12 +229,13 @@ def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
     if frame_time <= 0:
         raise InputError(reader.where, str(frame_time), "a frame time above 0")
     width = sum(map(len, skeleton.channels))
+    labels = [f"{name} {channel}" for name, own in zip(skeleton.names, skeleton.channels, strict=True) for channel in own]
     values = np.empty((int(count), width))
     for frame in range(int(count)):
         words = reader.rest(f"frame {frame + 1} of {count}").split()
         if len(words) != width:
             raise InputError(reader.where, f"{len(words)} numbers", f"{width}, one a channel")
-        values[frame] = _numbers(reader.where, words)
+        values[frame] = _numbers(reader.where, words, labels, frame + 1)
     positions, rotations = _decode(skeleton, values)
     return Clip(
         name=reader.path.stem,
@@ -247,14 +249,15 @@ def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
     )
 
 
-def _numbers(where: str, words: list[str]) -> np.ndarray:
-    try:
-        row = np.array(words, dtype=np.float64)
-        if np.isfinite(row).all():
-            return row
-    except ValueError:
-        pass
-    return np.array([_number(where, word, "a number a channel") for word in words])
+def _numbers(where: str, words: list[str], labels: list[str], frame: int) -> np.ndarray:
+    """A frame's numbers, one a channel; a refusal names the joint and the channel."""
+    row = np.full(len(words), np.nan)
+    for i, word in enumerate(words):
+        with contextlib.suppress(ValueError):
+            row[i] = float(word)
+        if not math.isfinite(row[i]):
+            raise InputError(where, f"{word!r} for {labels[i]} in frame {frame}", "a finite number a channel")
+    return row
 
 
 def _decode(skeleton: _Skeleton, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

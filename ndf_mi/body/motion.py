@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -66,6 +66,7 @@ def retarget(
     *,
     shape: np.ndarray | Sequence[float] | None = None,
     place: Place = "world",
+    alike: Collection[str] = (),
 ) -> Motion:
     """Plays ``clip`` on ``body``.
 
@@ -78,12 +79,13 @@ def retarget(
         shape: (B,) shape coefficients; the joints follow them.
         place: ``world`` keeps the clip's path, ``centre`` brings the middle of its horizontal extent to the origin,
             ``treadmill`` takes out all horizontal movement of the hips, so that the body stays above the origin.
+        alike: joints that are turned alike in both rest poses, whatever the bone above them, such as feet flat on the ground.
 
     Raises:
         InputError: joints of the body that the clip lacks, a body without a rig, or a time outside the clip.
     """
-    joints, columns = _shaped_joints(body, shape), _match(body, clip)
-    align = _alignment(body, clip, joints, columns)
+    joints, columns = shaped_joints(body, shape), _match(body, clip)
+    align = _alignment(body, clip, joints, columns, alike)
     own = np.arange(len(clip)) * clip.frame_time
     some = own[np.unique(np.linspace(0, len(clip) - 1, min(len(clip), 240)).round().astype(int))]
     whole = _play(body, clip.at(some), joints, columns, align)
@@ -131,7 +133,26 @@ def pose_sequence(
     return Poses(frames, vertices, motion.pose, motion.root_rotation, motion.translation, coefficients)
 
 
-def _shaped_joints(body: Body, shape: np.ndarray | Sequence[float] | None) -> np.ndarray:
+def frame_times(duration: float, fps: float) -> np.ndarray:
+    """(T,): the seconds at which frames fall into a motion of ``duration`` seconds, the first at 0."""
+    return np.minimum(np.arange(int(np.floor(duration * fps + 1e-3)) + 1) / fps, duration)
+
+
+def require_finite(where: str, values: np.ndarray, names: Sequence[str], frames: Sequence[int] | np.ndarray | None = None) -> None:
+    """Raises InputError, naming the frame and the joint, unless all of ``values``, (T, J, 3) of the joints ``names``, are finite."""
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        row, joint, axis = bad[0]
+        frame = row if frames is None else frames[row]
+        raise InputError(where, f"{values[row, joint, axis]} at frame {frame}, joint {names[joint]}", "finite numbers")
+
+
+def shaped_joints(body: Body, shape: np.ndarray | Sequence[float] | None = None) -> np.ndarray:
+    """(J, 3) float64: the rest joints at a shape.
+
+    Raises:
+        InputError: a body without a rig, or another number of coefficients.
+    """
     if not body.skinned:
         raise InputError("body", "no skinning model", "a body with joints, parents and weights")
     joints = np.asarray(body.joints, dtype=np.float64)
@@ -154,7 +175,7 @@ def _match(body: Body, clip: Clip) -> list[int]:
     return [named[name] for name in body.joint_names]
 
 
-def _alignment(body: Body, clip: Clip, joints: np.ndarray, columns: list[int]) -> np.ndarray:
+def _alignment(body: Body, clip: Clip, joints: np.ndarray, columns: list[int], alike: Collection[str]) -> np.ndarray:
     """(J, 3, 3): turns the body's rest pose into the clip's, limb by limb; each joint continues its parent's turn."""
     rest = np.zeros((len(clip.parents), 3))
     for j, p in enumerate(clip.parents):
@@ -162,7 +183,7 @@ def _alignment(body: Body, clip: Clip, joints: np.ndarray, columns: list[int]) -
     names = body.joint_names or ()
     turns = np.tile(np.eye(3), (len(names), 1, 1))
     for j, (name, parent) in enumerate(zip(names, body.parents, strict=True)):  # type: ignore[arg-type]
-        if parent >= 0:
+        if parent >= 0 and name not in alike:
             turns[j] = turns[parent]
         if AIMS.get(name) in names:
             tip = names.index(AIMS[name])

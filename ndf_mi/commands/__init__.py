@@ -38,7 +38,9 @@ ENTRIES = (
     Entry("capture check", "capture_check", "CaptureCheck", "say exactly what is wrong with a capture folder"),
     Entry("optimise", "optimise", "Optimise", "train a neural deformable field on a capture"),
     Entry("compare", "compare", "Compare", "compare a trained field with a textured mesh; write report.html"),
+    Entry("ablate", "ablate", "Ablate", "train every ablation on a capture; write their table and report.html"),
     Entry("render", "render", "Render", "render a scene or a trained run to an image"),
+    Entry("animate", "animate", "Animate", "render a trained run in any motion, as a video"),
     Entry("demo", "demo", "Demo", "all of the above on a small capture, in minutes"),
 )
 

@@ -114,8 +114,8 @@ def test_resampling(tmp_path: Path) -> None:
         ("Time: 0.5", "Time: 0", 18, "frame time above 0"),
         ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 90 0", 20, "8 numbers; expected 9"),
         ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 90 0 0 0", 20, "10 numbers; expected 9"),
-        ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 nan 0 0", 20, "nan; expected"),
-        ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 ninety 0 0", 20, "'ninety'; expected"),
+        ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 nan 0 0", 20, "'nan' for Fore Zrotation in frame 2; expected"),
+        ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 ninety 0 0", 20, "'ninety' for Fore Zrotation in frame 2; expected"),
     ],
 )
 def test_refuses(tmp_path: Path, old: str, new: str, line: int, message: str) -> None:

@@ -1,0 +1,144 @@
+"""Motion written by hand: JSON keyframes of single joints, with spherical linear interpolation between them.
+
+::
+
+    {"fps": 30,
+     "frames": [{"time": 0, "joints": {"left_elbow": [0, 0, 0]}},
+                {"time": 1, "joints": {"left_elbow": [0, -90, 0]}, "root": [0, 45, 0], "translation": [0, 0, 0.5]}]}
+
+Rotations are axis-angle in degrees relative to the parent, about the axes that the world has for the body at rest: x to its left, y up,
+z ahead. ``root`` turns the whole body about its root joint and ``translation``, metres, moves it from where it stands at rest. Each
+joint has keyframes of its own, those that name it: before the first and after the last it keeps still, and a joint that is never named
+stays at rest. Between two keyframes a joint takes the shorter way, so that turns of more than 180° need one between. Joints go by the
+body's names or, where the rig is ``cmu_mb``, also by SMPL's.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from ndf_mi.body.body import Body
+from ndf_mi.body.motion import Motion, frame_times, shaped_joints
+from ndf_mi.body.motion_smpl import COUNTERPARTS, smpl_names
+from ndf_mi.errors import InputError
+
+_KEYS = ("time", "joints", "root", "translation")
+Track = tuple[list[float], list[np.ndarray]]
+"""Times in seconds and three numbers at each."""
+
+
+def play_json(
+    body: Body, path: str | os.PathLike[str], fps: float | None = None, *, shape: np.ndarray | None = None
+) -> tuple[Motion, float]:
+    """The keyframes of a file on a body, and the frames a second: ``fps``, else the file's own, else 30.
+
+    Raises:
+        InputError: naming the file and key: no JSON, another key, a joint that the body lacks, times that do not ascend, no frame, or
+            anything but three finite numbers.
+    """
+    path = Path(path)
+    document = _load(path)
+    frames = document.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f"{path}: frames", "no keyframe", "a list of at least one")
+    own = _number(document.get("fps", 30), f"{path}: fps")
+    if own <= 0:
+        raise InputError(f"{path}: fps", f"{own:g}", "frames a second, above 0")
+    joints = shaped_joints(body, shape)
+    rotations, root, translation = _tracks(path, frames, _indices(body))
+    fps = own if fps is None else fps
+    times = frame_times(float(frames[-1]["time"]), fps)
+    pose = np.zeros((len(times), len(joints), 3))
+    for j, track in rotations.items():
+        pose[:, j] = _turns(track, times).as_rotvec()
+    turns = _turns(root, times)
+    path_of_root = _moves(translation, times)
+    origin = joints[0] - turns.apply(joints[0]) + path_of_root
+    return Motion(pose.astype(np.float32), turns.as_rotvec().astype(np.float32), origin.astype(np.float32)), fps
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(path, f"a file that cannot be read as JSON ({error})", "keyframes in JSON") from None
+    if not isinstance(document, dict):
+        raise InputError(path, f"a {type(document).__name__}", 'an object such as {"fps": 30, "frames": [...]}')
+    return document
+
+
+def _indices(body: Body) -> dict[str, int]:
+    """The joints but the root, by their own names and by SMPL's."""
+    own = body.joint_names or ()
+    names = {name: j for j, name in enumerate(smpl_names(body) or [COUNTERPARTS.get(name, name) for name in own])}
+    names |= {name: j for j, name in enumerate(own)}
+    return {name: j for name, j in names.items() if j > 0}
+
+
+def _tracks(path: Path, frames: list[Any], indices: dict[str, int]) -> tuple[dict[int, Track], Track, Track]:
+    rotations: dict[int, Track] = {}
+    root: Track = ([], [])
+    translation: Track = ([], [])
+    before = -math.inf
+    for i, frame in enumerate(frames):
+        where = f"{path}: frames[{i}]"
+        if not isinstance(frame, dict):
+            raise InputError(where, f"a {type(frame).__name__}", "an object with the key time")
+        for key in frame:
+            if key not in _KEYS:
+                raise InputError(f"{where}.{key}", "a key of that name", f"{', '.join(_KEYS)} only")
+        time = _number(frame.get("time"), f"{where}.time")
+        if time < 0 or time <= before:
+            raise InputError(f"{where}.time", f"{time:g}", "seconds from 0 on, each more than the one before")
+        before = time
+        joints = frame.get("joints", {})
+        if not isinstance(joints, dict):
+            raise InputError(f"{where}.joints", f"a {type(joints).__name__}", "an object of joints")
+        for name, value in joints.items():
+            if name not in indices:
+                raise InputError(f"{where}.joints", f"the joint {name!r}", f"joints of the body but its root: {', '.join(indices)}")
+            _add(rotations.setdefault(indices[name], ([], [])), time, value, f"{where}.joints.{name}")
+        for key, track in (("root", root), ("translation", translation)):
+            if key in frame:
+                _add(track, time, frame[key], f"{where}.{key}")
+    return rotations, root, translation
+
+
+def _add(track: Track, time: float, value: Any, where: str) -> None:
+    if not isinstance(value, list) or len(value) != 3:
+        raise InputError(where, json.dumps(value)[:60], "three numbers")
+    if track[0] and track[0][-1] == time:
+        raise InputError(where, "the joint under two of its names", "it once a keyframe")
+    track[0].append(time)
+    track[1].append(np.array([_number(v, where) for v in value]))
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise InputError(where, "nothing" if value is None else json.dumps(value)[:60], "a finite number")
+    return float(value)
+
+
+def _turns(track: Track, times: np.ndarray) -> Rotation:
+    at, vectors = track
+    if not at:
+        return Rotation.identity(len(times))
+    keys = Rotation.from_rotvec(np.array(vectors), degrees=True)
+    if len(at) == 1:
+        return keys[np.zeros(len(times), dtype=np.intp)]
+    return Slerp(at, keys)(np.clip(times, at[0], at[-1]))
+
+
+def _moves(track: Track, times: np.ndarray) -> np.ndarray:
+    at, points = track
+    if not at:
+        return np.zeros((len(times), 3))
+    columns = np.array(points).T
+    return np.stack([np.interp(times, at, column) for column in columns], axis=1)

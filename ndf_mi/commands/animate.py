@@ -1,0 +1,169 @@
+"""``ndf-mi animate``: a run in another motion, as a video."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from ndf_mi.errors import InputError
+
+if TYPE_CHECKING:
+    from ndf_mi.animate.animation import Animation
+    from ndf_mi.animate.frames import FrameFolder
+    from ndf_mi.body.motion_file import Performance
+    from ndf_mi.capture.camera import Camera
+    from ndf_mi.run import Run
+
+
+@dataclass
+class Animate:
+    """Render a trained field in any motion, as an MP4. Interrupt it when you like; the same command goes on where it was.
+
+    Frames are kept beside the video, in OUT.frames. Those that are there and show what is asked for are not rendered again.
+    """
+
+    run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """Folder of the run."""
+
+    motion: str
+    """A .bvh file, an AMASS-like .npz, a capture's poses.npz, JSON keyframes, or a clip of the package: climb, jump, walk."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The video: NAME.mp4."""
+
+    camera: str = "orbit"
+    """orbit: round the performer, following it. CAPTURE:NAME: a camera of a capture. FILE: JSON with keyframed cameras, in the
+    layout of nerfstudio's transforms.json or of its viewer's camera paths."""
+
+    shape: str | None = None
+    """Shape coefficients in place of the performer's: by name, as height=0.3,weight=-0.5, or the first ones as numbers."""
+
+    fps: float | None = None
+    """Frames a second: by default a JSON motion's own, else 30. A poses.npz is played one row a frame."""
+
+    frames: str | None = None
+    """Some of the motion's frames, as FIRST:END:STEP like a slice in Python; a step lowers the video's frame rate."""
+
+    size: tuple[int, int] | None = None
+    """Width and height in pixels; by default the camera's own, 512 × 512 for orbit."""
+
+    spp: int = 1
+    """Rays a pixel."""
+
+    samples: int = 128
+    """Candidate samples a ray."""
+
+    background: tuple[float, float, float] | None = None
+    """sRGB in [0, 1] behind the performer; by default the run's own."""
+
+    place: Literal["world", "centre", "treadmill"] = "world"
+    """world: the motion's own path. centre: the middle of the path over the origin. treadmill: always over the origin."""
+
+    up: Literal["z", "y"] | None = None
+    """AMASS-like motion: its vertical axis; z by default."""
+
+    turns: float | None = None
+    """orbit: full turns over the whole motion; 1 by default, 0 keeps the direction."""
+
+    azimuth: float | None = None
+    """orbit: degrees around the performer at the first frame; 0 by default."""
+
+    elevation: float | None = None
+    """orbit: degrees above the horizon; 5 by default."""
+
+    def run(self) -> int:
+        """Renders the missing frames, then writes the video."""
+        from ndf_mi.animate.animation import Animation
+        from ndf_mi.animate.frames import FrameFolder
+        from ndf_mi.animate.shape import parse_shape
+        from ndf_mi.animate.video import check_suffix
+        from ndf_mi.body.motion_file import read_performance
+        from ndf_mi.run import Run
+
+        check_suffix(self.out)
+        self._check()
+        run = Run.load(self.run_folder)
+        shape = None if self.shape is None else parse_shape(self.shape, run.body, run.poses.shape)
+        performance = read_performance(
+            self.motion, run.body, run.poses, shape=shape, fps=self.fps, place=self.place, up=self.up)  # fmt: skip
+        frames = self._frames(len(performance))
+        rate = performance.fps / frames.step
+        if not 0.1 <= rate <= 240:
+            raise InputError("--frames" if self.frames else "--fps", f"{rate:g} frames a second", "a video of 0.1 to 240")
+        cameras = self._cameras(performance)
+        animation = Animation(
+            run, performance, cameras, samples=self.samples, spp=self.spp, background=self.background)  # fmt: skip
+        folder = FrameFolder(self.out.with_suffix(".frames"), self._asked(run))
+        self._render(animation, folder, frames, rate)
+        print(f"{self.out}: {len(frames)} frames, {len(frames) / rate:.1f} s")
+        return 0
+
+    def _check(self) -> None:
+        if self.size is not None and min(self.size) < 1:
+            raise InputError("--size", f"{self.size[0]} {self.size[1]}", "two whole numbers above 0")
+        for name in ("samples", "spp"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name}", str(getattr(self, name)), "a whole number above 0")
+        if self.fps is not None and not 0 < self.fps < float("inf"):
+            raise InputError("--fps", f"{self.fps:g}", "frames a second, above 0")
+        if self.background is not None and not all(0 <= v <= 1 for v in self.background):
+            raise InputError("--background", " ".join(f"{v:g}" for v in self.background), "three numbers in [0, 1]")
+        if self.elevation is not None and not -90 < self.elevation < 90:
+            raise InputError("--elevation", str(self.elevation), "degrees between -90 and 90")
+        for name in ("turns", "azimuth"):
+            value = getattr(self, name)
+            if value is not None and not abs(value) < float("inf"):
+                raise InputError(f"--{name}", f"{value:g}", "a finite number")
+        for name in ("turns", "azimuth", "elevation"):
+            if getattr(self, name) is not None and self.camera != "orbit":
+                raise InputError(f"--{name}", f"it together with --camera {self.camera}", "it with --camera orbit only")
+
+    def _frames(self, count: int) -> range:
+        """The motion's frames that were asked for, ascending."""
+        if self.frames is None:
+            return range(count)
+        try:
+            parts = [int(part) if part.strip() else None for part in self.frames.split(":")]
+        except ValueError:
+            parts = []
+        if not 2 <= len(parts) <= 3 or (len(parts) == 3 and parts[2] is not None and parts[2] < 1):
+            raise InputError("--frames", repr(self.frames), "FIRST:END or FIRST:END:STEP, whole numbers, a step above 0")
+        chosen = range(count)[slice(*parts)]
+        if len(chosen) == 0:
+            raise InputError("--frames", f"none of the motion's frames in {self.frames!r}", f"some of 0 to {count - 1}")
+        return chosen
+
+    def _cameras(self, performance: Performance) -> list[Camera]:
+        from ndf_mi.animate.animation import boxes
+        from ndf_mi.animate.cameras import orbit, read_cameras
+
+        if self.camera == "orbit":
+            given = {name: getattr(self, name) for name in ("turns", "azimuth", "elevation") if getattr(self, name) is not None}
+            return orbit(boxes(performance), *(self.size or (512, 512)), performance.fps, **given)
+        cameras = read_cameras(self.camera, len(performance), performance.fps)
+        return cameras if self.size is None else [camera.scaled(*self.size) for camera in cameras]
+
+    def _asked(self, run: Run) -> dict[str, Any]:
+        """What was asked for, for people who find the frames."""
+        values = {name: getattr(self, name) for name in type(self).__dataclass_fields__ if name not in ("out", "run_folder")}
+        return {"run": str(run.path)} | {name: value for name, value in values.items() if value is not None}
+
+    def _render(self, animation: Animation, folder: FrameFolder, frames: range, rate: float) -> None:
+        from ndf_mi.animate.video import write_video
+        from ndf_mi.commands.animate_console import FrameProgress
+
+        missing = animation.missing(folder, frames)
+        with FrameProgress(sys.stderr) as progress:
+            try:
+                animation.write(folder, missing, progress.phase("rendering", len(missing), len(frames)))
+                paths = [folder.frame(frame) for frame in frames]
+                write_video(self.out, paths, rate, progress.phase("encoding", len(frames), len(frames)))
+            except KeyboardInterrupt:
+                progress.stop()
+                left = len(animation.missing(folder, frames))
+                print(f"stopped with {len(frames) - left} of {len(frames)} frames in {folder.path}; the same command goes on there")
+                raise
