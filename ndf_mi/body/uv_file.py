@@ -1,0 +1,101 @@
+"""Files of texel coordinates for a mesh that comes without: a Wavefront OBJ, or an ``.npz`` of ``uv`` and ``uv_faces``."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ndf_mi.body import arrays
+from ndf_mi.body.obj import read_obj
+from ndf_mi.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class UVFile:
+    """Texel coordinates over a mesh's triangles.
+
+    Attributes:
+        path: the file.
+        uv: (U, 2) float32 in [0, 1], v up.
+        uv_faces: (F, 3) int32 into ``uv``.
+        faces: (F, 3) int32, the vertices of the same triangles; None where the file leaves them to the mesh.
+    """
+
+    path: Path
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    faces: np.ndarray | None
+
+    def over(self, faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
+        """``uv`` and ``uv_faces`` corner by corner with ``faces``, whatever the order of triangles and corners in the file.
+
+        Args:
+            faces: (F, 3) the mesh's triangles.
+            vertex_count: V, for the message where the file is of another mesh.
+
+        Raises:
+            InputError: the file's triangles are not the mesh's.
+        """
+        if self.faces is None:
+            if len(self.uv_faces) != len(faces):
+                raise self._other(f"{len(self.uv_faces)} triangles", len(faces), vertex_count)
+            return self.uv, self.uv_faces
+        if len(self.faces) != len(faces):
+            raise self._other(f"{len(self.faces)} triangles", len(faces), vertex_count)
+        mine, mine_first = _turned(self.faces)
+        theirs, theirs_first = _turned(faces)
+        order, wanted = np.lexsort(mine.T), np.lexsort(theirs.T)
+        lacking = (mine[order] != theirs[wanted]).any(axis=1)
+        if lacking.any():
+            raise self._other(f"other triangles, {int(lacking.sum())} of them", len(faces), vertex_count)
+        place = np.empty(len(faces), dtype=np.int64)
+        place[wanted] = order
+        # Corner c of the mesh's triangle is c - theirs_first of the turned one, which is that plus mine_first in the file.
+        corners = (np.arange(3) - theirs_first[:, None] + mine_first[place][:, None]) % 3
+        return self.uv, np.take_along_axis(self.uv_faces[place], corners, axis=1)
+
+    def _other(self, found: str, triangles: int, vertices: int) -> InputError:
+        return InputError(self.path, found, f"texel coordinates over the mesh of {vertices} vertices and {triangles} triangles")
+
+
+def read_uv(path: str | os.PathLike[str]) -> UVFile:
+    """Reads texel coordinates.
+
+    Args:
+        path: ``.obj`` whose faces (triangles or quads) have ``v/vt`` at each corner, vertices numbered as the mesh's; or ``.npz``
+            with ``uv`` (U, 2), ``uv_faces`` (F, 3) and, optional, ``faces`` (F, 3), without which they are the mesh's own.
+
+    Raises:
+        InputError: missing, damaged, without texel coordinates, or of another kind.
+    """
+    path = Path(path)
+    kind = path.suffix.lower()
+    faces: np.ndarray | None
+    if kind == ".npz":
+        found = arrays.read_npz(path, ("uv", "uv_faces"), ("faces",))
+        uv, uv_faces, faces = found["uv"], found["uv_faces"], found.get("faces")
+    elif kind == ".obj":
+        try:
+            _, uv, groups = read_obj(path)
+            uv_faces = np.concatenate([group.uv_faces for group in groups.values()])
+            faces = np.concatenate([group.faces for group in groups.values()])
+        except FileNotFoundError:
+            raise InputError(path, "no such file", "texel coordinates, .obj or .npz") from None
+        except (OSError, ValueError, IndexError) as error:
+            raise InputError(path, f"no mesh with texel coordinates ({error})", "an OBJ with v/vt at each corner") from None
+    else:
+        raise InputError(path, f"the suffix {kind or 'nothing'}", "texel coordinates, .obj or .npz")
+    uv = arrays.floats(f"{path}: uv", uv, (None, 2))
+    uv_faces = arrays.indices(f"{path}: uv_faces", uv_faces, (None, 3), 0, max(1, len(uv)))
+    if faces is not None:
+        faces = arrays.indices(f"{path}: faces", faces, (len(uv_faces), 3), 0, np.iinfo(np.int32).max)
+    return UVFile(path, uv, uv_faces, faces)
+
+
+def _turned(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles turned so that the lowest vertex comes first, and the corner, (F,), at which that was."""
+    first = faces.argmin(axis=1)
+    return np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1), first
