@@ -24,7 +24,7 @@ table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .
 caption { text-align: left; padding-bottom: .5rem; font-size: .9rem; }
 th, td { padding: .38rem .8rem; text-align: right; border-bottom: 1px solid var(--rule); white-space: nowrap; }
 th { font-weight: 500; color: var(--soft); font-size: .88rem; }
-thead th { white-space: normal; vertical-align: bottom; }
+thead th { white-space: normal; vertical-align: bottom; min-width: 5.6rem; }
 thead th.group { text-align: center; color: var(--ink); border-bottom: 2px solid var(--rule); }
 th:first-child, td:first-child { text-align: left; padding-left: 0; }
 tbody th { color: var(--ink); font-size: 1rem; }

@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from ndf_mi.capture.document import Split
+from ndf_mi.commands import main
+from ndf_mi.commands.compare import Compare
 from ndf_mi.compare import metrics
 from ndf_mi.compare.evaluate import choose_views
 from ndf_mi.compare.flicker import choose_sequences
 from ndf_mi.compare.protocols import DYNACAP, OURS, PROTOCOLS, ZJU, named
 from ndf_mi.compare.results import View
 from ndf_mi.errors import InputError
+from ndf_mi.field import PRESETS
+from ndf_mi.run import Run
 
 
 def layout(train=4, test=17, seen=range(60), novel=range(60, 260), background=0.0):
@@ -132,6 +136,32 @@ def test_headlines_name_both_data_ranges():
         assert "Box SSIM, data_range 1" in labels and "Box SSIM, data_range 2" in labels
     whole = [label for key, label in metrics.LABELS.items() if not key.startswith("box")]
     assert whole and all(label.startswith("Whole-image") for label in whole)
+
+
+def test_a_comparison_by_a_protocol_that_the_capture_does_not_fit_leaves_with_exit_code_2(capture, tmp_path, capsys):
+    made = Run.create(
+        tmp_path / "run",
+        PRESETS["tiny"],
+        capture.body,
+        capture.poses,
+        seed=0,
+        background=capture.background.tolist(),
+        capture={"name": capture.name, "digest": capture.digest},
+        trained={"steps": 10, "seconds": 3600.0, "done": True},
+    )
+    made.save()
+    arguments = ["compare", str(tmp_path / "run"), "--capture", str(capture.path), "-o", str(tmp_path / "out")]
+    assert main([*arguments, "--protocol", "zju"]) == 2
+    said = capsys.readouterr().err
+    assert "splits.train.frames: found 2 frames; expected at least 60, for protocol zju" in said
+    assert not (tmp_path / "out").exists()
+    assert main([*arguments, "--protocol", "human36m"]) == 2
+    assert main([*arguments, "--sequence", "1"]) == 2
+
+
+def test_the_command_repeats_the_protocol(tmp_path):
+    command = Compare(tmp_path, tmp_path, protocol="dynacap", sequence=6)
+    assert command._arguments()[4:] == ["--protocol", "dynacap", "--sequence", "6"]
 
 
 def test_names():
