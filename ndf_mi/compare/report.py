@@ -116,7 +116,7 @@ def _headline_table(results: Results) -> str:
     keys = tables.headline(results)
     labels = (SPLIT_LABELS[split].capitalize() for split in splits)
     groups = "".join(f'<th class="group" colspan="{len(keys)}">{label}</th>' for label in labels)
-    heads = "".join(f"<th>{escape(metrics.LABELS[key])}</th>" for key in keys) * len(splits)
+    heads = "".join(f"<th>{_label(key)}</th>" for key in keys) * len(splits)
     merged = zip(*(tables.rows(results, split, keys) for split in splits), strict=True)
     body = "".join(_row(p[0].label, [cell for row in p for cell in row.cells], p[0].difference) for p in merged)
     head = f"<thead><tr><th></th>{groups}</tr><tr><th></th>{heads}</tr></thead>"
@@ -125,7 +125,7 @@ def _headline_table(results: Results) -> str:
 
 def _full_table(results: Results, split: str) -> str:
     keys = tuple(metrics.LABELS)
-    heads = "".join(f"<th>{escape(metrics.LABELS[key])}</th>" for key in keys)
+    heads = "".join(f"<th>{_label(key)}</th>" for key in keys)
     body = "".join(_row(row.label, list(row.cells), row.difference) for row in tables.rows(results, split, keys))
     count = results.about["measured"][split]
     pairs = sum(len(known.tpsnr) for known in results.methods[0].flicker if known.sequence.split == split)
@@ -134,6 +134,11 @@ def _full_table(results: Results, split: str) -> str:
     caption = f"<caption>{SPLIT_LABELS[split].capitalize()}, means over {over}</caption>"
     head = f"<thead><tr><th></th>{heads}</tr></thead>"
     return f'<div class="scroll"><table>{caption}{head}<tbody>{body}</tbody></table></div>'
+
+
+def _label(key: str) -> str:
+    """A metric's name as a column's head, broken in as few places as may be."""
+    return escape(metrics.LABELS[key]).replace("Box ", "Box&nbsp;").replace("Whole-image ", "Whole&#8209;image ")
 
 
 def _row(label: str, cells: Sequence[tables.Cell], difference: bool) -> str:
@@ -175,10 +180,15 @@ def _curves(results: Results, history: Sequence[Mapping[str, float]]) -> str:
 
 def _mesh_notes(results: Results) -> list[str]:
     notes = [note for note in map(tables.mesh_note, results.methods) if note]
-    meshes = [method for method in results.methods if "budget" in method.facts]
-    if meshes and all(method.facts["budget"] is None for method in meshes):
-        equal = tables.duration(results.about["equal_seconds"])
-        notes.append(f"It converged before the field's training time ({equal}) was up, so it stands for equal time too.")
+    equal = results.about["equal_seconds"]
+    keys = {method.key for method in results.methods}
+    for method in results.methods:
+        converged = method.facts.get("converged") and method.facts["seconds"] <= equal
+        if converged and method.key.replace("converged", "equal-time") not in keys:
+            notes.append(
+                f"{method.label}: this was before the field's training time ({tables.duration(equal)}) was up, so it stands for "
+                "equal time too."
+            )
     return notes
 
 

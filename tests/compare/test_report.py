@@ -198,7 +198,7 @@ def test_the_protocol_leads_the_table_and_is_named(results, capture, folder, tmp
     write_report(tmp_path / "report.html", results, capture, folder, [])
     page = Page((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "Protocol zju: ZJU-MoCap" in page.text and "the run's kernel is 0" in page.text
-    headline = page.text[page.text.index("Figures") : page.text.index("Pictures")]
+    headline = page.text[page.text.index("Figures") : page.text.index("Pictures")].replace("\xa0", " ")
     assert "Box SSIM, data_range 2" in headline and "FLIP" not in headline
 
 
