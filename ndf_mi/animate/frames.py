@@ -62,7 +62,7 @@ class FrameFolder:
         mend = f"Remove {self.path}, or write to another file."
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             if self.path.is_dir() and any(self.path.iterdir()):
                 raise InputError(self.path, f"a folder with other files and no {FILE_NAME}", "an empty place for frames", mend) from None
             return {}

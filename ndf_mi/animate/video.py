@@ -16,9 +16,11 @@ _CODEC = ["-crf", "16", "-preset", "slow", "-movflags", "+faststart", "-vf", "sc
 
 
 def check_suffix(path: str | os.PathLike[str]) -> None:
-    """Raises InputError unless the file's name ends in .mp4."""
+    """Raises InputError unless the file's name ends in .mp4 and it is no folder."""
     if Path(path).suffix.lower() != ".mp4":
         raise InputError(path, f"the ending {Path(path).suffix!r}", ".mp4")
+    if Path(path).is_dir():
+        raise InputError(path, "a folder of that name", "a file's name")
 
 
 def write_video(
