@@ -138,7 +138,7 @@ def _full_table(results: Results, split: str) -> str:
 
 def _label(key: str) -> str:
     """A metric's name as a column's head, broken in as few places as may be."""
-    return escape(metrics.LABELS[key]).replace("Box ", "Box&nbsp;").replace("Whole-image ", "Whole&#8209;image ")
+    return escape(metrics.LABELS[key]).replace("Box ", "Box&nbsp;").replace("range ", "range&nbsp;").replace("Whole-", "Whole&#8209;")
 
 
 def _row(label: str, cells: Sequence[tables.Cell], difference: bool) -> str:
