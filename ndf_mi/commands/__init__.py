@@ -36,6 +36,7 @@ ENTRIES = (
     Entry("doctor", "doctor", "Doctor", "say what is installed, what works, and how to mend the rest", variant=False),
     Entry("capture synthesise", "capture_synthesise", "CaptureSynthesise", "render a capture of a synthetic performer"),
     Entry("capture check", "capture_check", "CaptureCheck", "say exactly what is wrong with a capture folder"),
+    Entry("capture import", "capture_import", "CaptureImport", "make a capture of one of ZJU-MoCap or DynaCap"),
     Entry("optimise", "optimise", "Optimise", "train a neural deformable field on a capture"),
     Entry("compare", "compare", "Compare", "compare a trained field with a textured mesh; write report.html"),
     Entry("ablate", "ablate", "Ablate", "train every ablation on a capture; write their table and report.html"),

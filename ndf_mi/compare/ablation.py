@@ -1,0 +1,156 @@
+"""The ablation study: every variant of the method trained on one capture, measured on its held-out images, in one table."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ndf_mi.capture.capture import Capture
+from ndf_mi.compare import machine
+from ndf_mi.compare.ablation_report import write_ablation_report
+from ndf_mi.compare.evaluate import choose_views, evaluate, to_render
+from ndf_mi.compare.flicker import choose_sequences
+from ndf_mi.compare.methods.ndf import NeuralField
+from ndf_mi.compare.results import MethodResult, Results
+from ndf_mi.errors import InputError
+from ndf_mi.field import Preset
+from ndf_mi.learn.ablations import ABLATIONS, ablation
+from ndf_mi.learn.loop import expect_capture, resume, start, train
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.run import Run
+
+RESULTS = "ablation.json"
+REPORT = "report.html"
+PICTURES = "pictures"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How variants are measured.
+
+    Attributes:
+        max_images: images measured of each held-out split.
+        sequence: successive frames of each split on which temporal consistency is measured; 0 for none.
+        samples: candidate samples a ray.
+        seed: of the choice of images.
+    """
+
+    max_images: int = 48
+    sequence: int = 12
+    samples: int = 128
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for key, least in (("max_images", 1), ("samples", 1), ("sequence", 0), ("seed", 0)):
+            if getattr(self, key) < least:
+                raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), f"a whole number from {least} on")
+
+
+class Study:
+    """An ablation study in one folder; :meth:`run` does what is still missing of it.
+
+    Args:
+        capture: folder of the capture.
+        folder: where `ablation.json`, `report.html` and a run a variant go.
+        names: the variants; the first, to which the others are compared, is always ``full``.
+        preset, options: of the full model; each variant changes them.
+        settings: how variants are measured.
+        command: the command that the report says made it.
+
+    Raises:
+        InputError: the capture can't be read, a variant does not exist, or the folder holds runs of other options.
+    """
+
+    def __init__(self, capture: str | os.PathLike[str], folder: str | os.PathLike[str], names: Sequence[str], preset: Preset,
+                 options: TrainingOptions, settings: Settings, command: str) -> None:
+        self.folder = Path(folder)
+        self._capture = Capture.read(capture)
+        self._settings = settings
+        self.names = ["full", *(name for name in dict.fromkeys(names) if name != "full")]
+        self._wanted = {name: ablation(name).apply(preset, options) for name in self.names}
+        self._views = choose_views(self._capture, settings.max_images, settings.seed)
+        self._sequences = choose_sequences(self._capture, settings.sequence)
+        for name in self.names:
+            if (self.folder / name / "config.json").exists():
+                self._expect(name, Run.load(self.folder / name))
+        known = Results.read(self.folder / RESULTS) if (self.folder / RESULTS).exists() else Results()
+        # A variant measured before and not asked for now stays in the table; the table is in the order of `ABLATIONS`.
+        self.results = Results(self._about(command, preset, options), known.methods)
+
+    def run(self, training: Callable[[str, int, int], None], measured: Callable[[str, int, int], None]) -> Results:
+        """Trains and measures variant after variant; table and report are written after each.
+
+        Args:
+            training: told name, number and count of the variant whose training begins or goes on.
+            measured: told title, images measured, and images in all.
+
+        Raises:
+            KeyboardInterrupt: stopped by a signal; the same study goes on where it was.
+        """
+        count = len(to_render(self._views, self._sequences))
+        for number, name in enumerate(self.names, start=1):
+            run = self._trained(name, lambda: training(name, number, len(self.names)))  # noqa: B023
+            method = NeuralField(run, self._settings.samples)
+            result = MethodResult(name, ablation(name).title, method.fingerprint(), method.facts())
+            known = self.results.method(name)
+            if known is not None and known.fingerprint == result.fingerprint:
+                result.images = known.images
+            others = [other for other in self.results.methods if other.key != name and other.key in ABLATIONS]
+            self.results.methods = sorted([*others, result], key=lambda method: list(ABLATIONS).index(method.key))
+
+            def done() -> None:
+                self.results.write(self.folder / RESULTS)
+                measured(result.label, len(result.images), count)  # noqa: B023
+
+            evaluate(method, result, self._capture, self._views, self.folder / PICTURES / name, done, self._sequences)
+            self.results.write(self.folder / RESULTS)
+            write_ablation_report(self.folder / REPORT, self.results, self._capture, self.folder / PICTURES)
+        return self.results
+
+    def _trained(self, name: str, begin: Callable[[], None]) -> Run:
+        folder = self.folder / name
+        if (folder / "config.json").exists():
+            run = Run.load(folder)
+            if run.config.get("trained", {}).get("done"):
+                return run
+            trainer = resume(folder, self._capture) if (folder / "state.safetensors").exists() else None
+        else:
+            trainer = None
+        if trainer is None:
+            # A run without a training state was stopped before its first checkpoint: nothing of it is worth keeping.
+            (folder / "config.json").unlink(missing_ok=True)
+            for file in ("metrics.jsonl", *(file.name for file in folder.glob("events.*"))):
+                (folder / file).unlink(missing_ok=True)
+            trainer = start(folder, self._capture, *self._wanted[name])
+        begin()
+        train(trainer)
+        return trainer.run
+
+    def _expect(self, name: str, run: Run) -> None:
+        """Raises InputError unless the run is of the options that are asked for."""
+        expect_capture(run, self._capture)
+        preset, options = self._wanted[name]
+        for key, found, wanted in (("preset", run.config["preset"], preset.to_dict()),
+                                   ("training", run.config.get("training"), options.to_dict())):
+            if found != wanted:
+                found = found if isinstance(found, dict) else {}
+                other = sorted(k for k in set(wanted) | set(found) if wanted.get(k) != found.get(k))
+                raise InputError(f"{run.path / 'config.json'}: {key}", f"{other[0]} = {found.get(other[0])!r}",
+                                 f"{wanted.get(other[0])!r}, as asked for now",
+                                 "Give the options that it was started with, or take another folder.")
+
+    def _about(self, command: str, preset: Preset, options: TrainingOptions) -> dict[str, Any]:
+        splits = self._capture.splits
+        return {
+            "capture": {"name": self._capture.name, "digest": self._capture.digest,
+                        **{name: {"cameras": len(split.cameras), "frames": len(split.frames)} for name, split in splits.items()}},
+            "measured": {name: sum(view.split == name for view in self._views) for name in splits},
+            "settings": asdict(self._settings),
+            "preset": preset.to_dict(),
+            "training": options.to_dict(),
+            "command": command,
+            "machine": machine.describe(),
+        }
