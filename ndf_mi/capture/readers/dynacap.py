@@ -1,0 +1,84 @@
+"""DynaCap (Habermann et al. 2021), as far as its layout is known; `docs/captures-from-elsewhere.md` says what is assumed.
+
+The first 1,000 frames are trained on, the next 1,000 are novel poses; ten cameras train and five test, spread evenly over the file's
+order. A folder with ``annots.npy`` is read as one converted to ZJU-MoCap's layout; any other as::
+
+    DIR/cameras.calibration                           or the only *.calibration: see `skeletool`
+    DIR/images/C/image_c_C_f_F.jpg                    or .png; C the camera's name, F the frame's number
+    DIR/foregroundSegmentation/C/image_c_C_f_F.png    or .jpg; above 127 is the performer
+    DIR/params/F.npy, vertices/F.npy                  SMPL fitted to it, as in ZJU-MoCap's layout; or new_params, new_vertices
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ndf_mi.capture.document import Split
+from ndf_mi.capture.readers.annotated import FILE_NAME, fit_files, fit_folder, read_annotations
+from ndf_mi.capture.readers.skeletool import read_calibrations
+from ndf_mi.capture.readers.source import Selection, Source
+from ndf_mi.errors import InputError
+
+FRAMES = 1000
+"""Frames to train on, and then as many of novel poses."""
+
+_TRAIN, _TEST = 10, 5
+_CALIBRATION = "cameras.calibration"
+_IMAGES, _MASKS = "images", "foregroundSegmentation"
+
+
+def read_dynacap(folder: Path, selection: Selection | None = None, fits: str | None = None) -> Source:
+    """Finds what is to be imported of a sequence's folder; arguments and errors as `zju.read_zju`."""
+    folder, selection = Path(folder), selection or Selection()
+    if not folder.is_dir():
+        raise InputError(folder, "no such folder", "a sequence of DynaCap")
+    name = f"dynacap-{folder.resolve().name}"
+    if (folder / FILE_NAME).is_file():
+        annotations = read_annotations(folder, None)
+        rows = range(min(len(annotations.rows), 2 * FRAMES))
+        numbers = annotations.numbers(rows, lambda file: int(Path(file).stem))
+        splits = _splits(folder, selection, list(annotations.calibrations), numbers)
+        images = annotations.images(splits, rows, numbers)
+        files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
+        return Source(name, annotations.calibrations, splits, images, files, vertices, blended)
+    cameras = read_calibrations(_calibration_file(folder))
+    place = fit_folder(folder, fits)
+    numbers = sorted(int(file.stem) for file in place.glob("*.npy") if file.stem.isdecimal())
+    splits = _splits(folder, selection, list(cameras), numbers)
+    images = {}
+    for camera, frame in {pair for split in splits.values() for pair in split}:
+        stem = f"{camera}/image_c_{camera}_f_{frame}"
+        images[camera, frame] = (_file(folder / _IMAGES / stem, ".jpg", ".png"), _file(folder / _MASKS / stem, ".png", ".jpg"))
+    files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
+    return Source(name, cameras, splits, images, files, vertices, blended, mask_above=127)
+
+
+def _splits(folder: Path, selection: Selection, names: list[str], numbers: Sequence[int]) -> dict[str, Split]:
+    if len(numbers) <= FRAMES:
+        raise InputError(folder, f"{len(numbers)} frames with a fit", f"more than {FRAMES}, to train on, and then those of novel poses")
+    train, test = _spread(names)
+    return selection.splits(names, train, test, numbers[:FRAMES], numbers[FRAMES : 2 * FRAMES])
+
+
+def _spread(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Ten and five of the cameras, spread evenly: of fifteen, every third is for testing."""
+    count = _TRAIN + _TEST
+    if len(names) < count:
+        return list(names), list(names)
+    chosen = [names[i * len(names) // count] for i in range(count)]
+    return [name for i, name in enumerate(chosen) if i % 3 != 1], chosen[1::3]
+
+
+def _file(stem: Path, usual: str, other: str) -> Path:
+    """The file with the other suffix where it is there, else that with the usual one."""
+    file = stem.with_name(stem.name + other)
+    return file if file.is_file() else stem.with_name(stem.name + usual)
+
+
+def _calibration_file(folder: Path) -> Path:
+    file = folder / _CALIBRATION
+    there = sorted(folder.glob("*.calibration"))
+    if file not in there and len(there) > 1:
+        raise InputError(file, f"{', '.join(f.name for f in there)} instead", "one calibration")
+    return there[0] if len(there) == 1 else file

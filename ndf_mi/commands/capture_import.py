@@ -1,0 +1,74 @@
+"""``ndf-mi capture import``: makes a capture of one in another layout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ndf_mi.errors import InputError
+
+
+@dataclass
+class CaptureImport:
+    """Make a capture of one of ZJU-MoCap or DynaCap, undistorted and over black, with the frames and cameras of the published
+    protocol; docs/captures-from-elsewhere.md describes the layouts. Writes all of it or nothing."""
+
+    layout: Annotated[Literal["zju", "dynacap"], tyro.conf.Positional]
+    """What DIR holds: a subject of ZJU-MoCap (CoreView_377), or a sequence of DynaCap."""
+    path: Annotated[Path, tyro.conf.Positional]
+    """The folder to read."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The capture to make: a new or empty folder."""
+    smpl: Path | None = None
+    """SMPL's model file, .pkl or .npz, neutral. Without it --uv gives the triangles, and the body is a mesh alone."""
+    uv: Path | None = None
+    """Texel coordinates over SMPL's mesh: an .obj, or an .npz of uv, uv_faces and faces; by default one chart is made."""
+    subject: str | None = None
+    """zju: the subject, 313 to 394; by default read from the folder's name."""
+    fits: Literal["new_params", "params"] | None = None
+    """The folder of fits: new_params (with pose blend shapes) or params (without); by default the first that is there."""
+    frames: int = 1
+    """Take every how many-th frame of all splits."""
+    test_frames: int = 30
+    """Take every how many-th frame of the held-out splits; a multiple of --frames."""
+    train_cameras: tuple[str, ...] = ()
+    """Training cameras by name, instead of the protocol's."""
+    test_cameras: tuple[str, ...] = ()
+    """Held-out cameras by name, instead of the protocol's."""
+    scale: float = 0.5
+    """Size of the images made to that of the images read."""
+
+    def run(self) -> int:
+        """Makes the capture, with a progress bar."""
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        from ndf_mi.capture.capture import Capture
+        from ndf_mi.capture.check import summary
+        from ndf_mi.capture.readers.dynacap import read_dynacap
+        from ndf_mi.capture.readers.importing import import_capture
+        from ndf_mi.capture.readers.source import Selection
+        from ndf_mi.capture.readers.zju import read_zju
+
+        selection = Selection(self.frames, self.test_frames, self.train_cameras, self.test_cameras)
+        if self.layout == "zju":
+            source = read_zju(self.path, self.subject, selection, self.fits)
+        elif self.subject is not None:
+            raise InputError("--subject", "it together with dynacap", "it only with zju")
+        else:
+            source = read_dynacap(self.path, selection, self.fits)
+        bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        task = bar.add_task("images", total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.start()  # not before: what is wrong is said without a bar
+            bar.update(task, completed=done, total=total)
+
+        try:
+            lines = import_capture(source, self.out, self.smpl, self.uv, self.scale, show)
+        finally:
+            bar.stop()
+        print("\n".join([summary(Capture.read(self.out)), *lines]))
+        return 0
