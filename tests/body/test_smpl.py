@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import sys
+import types
 from pathlib import Path
 from typing import Any
 
@@ -148,6 +150,21 @@ def test_texels_of_an_obj_in_another_order(tmp_path: Path) -> None:
     for face, texels in zip(body.faces.tolist(), body.uv_faces, strict=True):
         for vertex, texel in zip(face, texels, strict=True):
             np.testing.assert_allclose(body.uv[texel], texel_of[tuple(sorted(face)), vertex], atol=1e-6)
+
+
+def test_without_a_uv_file_the_body_gets_one_chart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    held = model()
+
+    def one_piece(vertices: np.ndarray, faces: np.ndarray) -> types.SimpleNamespace:
+        np.testing.assert_allclose(vertices, held["v_template"])
+        np.testing.assert_array_equal(faces, held["f"])
+        return types.SimpleNamespace(uv=np.float32([[0, 0], [1, 0], [0.5, 1]]), uv_faces=np.tile(np.int32([2, 0, 1]), (40, 1)))
+
+    atlas = types.ModuleType("ndf_mi.body.atlas")
+    monkeypatch.setattr(atlas, "one_piece", one_piece, raising=False)
+    monkeypatch.setitem(sys.modules, atlas.__name__, atlas)
+    body = load_smpl(write(tmp_path / "smpl.pkl", held))
+    assert body.uv.tolist() == [[0, 0], [1, 0], [0.5, 1]] and body.uv_faces[39].tolist() == [2, 0, 1]
 
 
 SPOILT: dict[str, tuple[dict[str, Any], str]] = {
