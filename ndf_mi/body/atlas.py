@@ -1,0 +1,137 @@
+"""A one-piece atlas for any body: cut along a seam, laid flat, one chart that overlaps nowhere (docs/atlas.md).
+
+A surface of several connected components has a chart for each, side by side in the square at one scale.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ndf_mi.body import arrays, atlas_flatten
+from ndf_mi.body import atlas_mesh as mesh
+from ndf_mi.body.atlas_check import AtlasReport, check_atlas, overlapping
+from ndf_mi.body.atlas_pack import pack
+from ndf_mi.body.atlas_seam import choose_seam
+from ndf_mi.body.body import Body
+from ndf_mi.errors import InputError
+
+__all__ = ["Atlas", "AtlasReport", "check_atlas", "one_piece", "with_one_piece"]
+
+_GRID = 2.0**24
+_LEAST_AREA = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Atlas:
+    """Texel coordinates of a surface.
+
+    Attributes:
+        uv: (U, 2) float32 in [0, 1].
+        uv_faces: (F, 3) int32 into ``uv``, corner by corner with the surface's triangles.
+    """
+
+    uv: np.ndarray
+    uv_faces: np.ndarray
+
+
+def one_piece(vertices: np.ndarray, faces: np.ndarray) -> Atlas:
+    """Cuts a surface open and lays it flat: one chart for each connected component, no flipped triangle, no overlap.
+
+    The same input gives the same atlas. Coordinates are multiples of 2⁻²⁴, for which `check_atlas` is exact. Takes
+    about 20 seconds for 27,000 triangles.
+
+    Args:
+        vertices: (V, 3), any unit; those that no triangle names are ignored.
+        faces: (F, 3) int32, all of one orientation. Boundaries and handles are allowed.
+
+    Raises:
+        InputError: numbers that are not finite, indices out of range, a triangle without area (below 10⁻¹² of the
+            whole), no oriented manifold, or a surface that could not be flattened without flips or overlaps.
+    """
+    points = arrays.floats("vertices", vertices, (None, 3)).astype(np.float64)
+    triangles = arrays.indices("faces", faces, (None, 3), 0, len(points)).astype(np.int64)
+    if len(triangles) == 0:
+        raise InputError("faces", "no triangle", "at least one")
+    opposite = mesh.opposites(triangles)
+    doubled = mesh.doubled_areas(points[triangles])
+    if doubled.min() <= _LEAST_AREA * doubled.sum():
+        thin = int(np.argmin(doubled))
+        found = f"triangle {thin} with the area {doubled[thin] / 2:.3g} of {doubled.sum() / 2:.3g}"
+        raise InputError("vertices", found, "triangles that have an area", "Give another pose, or mend the mesh.")
+
+    charts, uv_faces, first = [], np.zeros_like(triangles), 0
+    component = mesh.components(opposite)
+    for number in range(component.max() + 1):
+        mine = np.nonzero(component == number)[0]
+        flat, corners = _chart(points, triangles[mine])
+        charts.append(flat)
+        uv_faces[mine] = corners + first
+        first += len(flat)
+    uv = np.round(pack(charts) * _GRID) / _GRID
+    atlas = Atlas(uv.astype(np.float32), uv_faces.astype(np.int32))
+    report = check_atlas(points, triangles, atlas)
+    if not report.sound:
+        found = f"{report.charts} charts of {report.components} components, {report.flipped} triangles flipped, {report.overlaps} overlaps"
+        raise InputError("vertices", f"a surface whose atlas has {found}", "a surface that can be laid flat", "Refine or smooth its mesh.")
+    return atlas
+
+
+def with_one_piece(body: Body, vertices: np.ndarray | None = None) -> Body:
+    """The body with a one-piece atlas in place of its own texel coordinates.
+
+    Args:
+        body: any body; all but ``uv`` and ``uv_faces`` stays.
+        vertices: (V, 3), the pose in which it is laid flat, arms and legs apart; by default the template.
+
+    Raises:
+        InputError: neither vertices nor a template, or as `one_piece`.
+    """
+    vertices = body.template if vertices is None else vertices
+    if vertices is None:
+        raise InputError("body", "no template", "rest vertices, or the vertices of a pose")
+    atlas = one_piece(vertices, body.faces)
+    return dataclasses.replace(body, uv=atlas.uv, uv_faces=atlas.uv_faces)
+
+
+def _chart(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Flattens one component: (U, 2) float64 at the surface's scale, and (F, 3) into it."""
+    opposite = mesh.opposites(triangles)
+    # Vertices at which the surface only touches itself are several in the plane.
+    faces, own = _split(triangles, points, opposite, np.zeros(triangles.size, bool))
+    cut = choose_seam(own, faces, opposite)
+    corners, opened = _split(faces, own, opposite, cut)
+    for flat in reversed(list(_attempts(opened, corners))):
+        if _rounds_well(flat, corners):
+            return flat, corners
+    found = f"{len(triangles)} triangles that no map onto a disk lays flat"
+    raise InputError("vertices", found, "a surface without extremely thin or small triangles", "Refine or smooth its mesh.")
+
+
+def _split(faces: np.ndarray, points: np.ndarray, opposite: np.ndarray, cut: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The triangles over the vertices that there are after cutting, and those vertices."""
+    corners = mesh.vertices_after_cut(opposite, cut)
+    source = np.zeros(corners.max() + 1, np.int64)
+    source[corners.ravel()] = faces.ravel()
+    return corners, points[source]
+
+
+def _attempts(points: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray]:
+    """Flat maps, each of less distortion than the one before: a circle's inside first, which cannot overlap."""
+    flat = atlas_flatten.start(points, faces)
+    if flat is not None:
+        yield flat
+        yield from atlas_flatten.relaxed(points, faces, flat)
+
+
+def _rounds_well(flat: np.ndarray, corners: np.ndarray) -> bool:
+    """Whether nothing is flipped and nothing overlaps once the chart alone is brought to the grid of 2⁻²⁴."""
+    if not np.isfinite(flat).all():
+        return False
+    unit = np.round(pack([flat]) * _GRID) / _GRID
+    if mesh.doubled_areas(unit[corners]).min() <= 0:
+        return False
+    return len(overlapping(unit[corners])) == 0

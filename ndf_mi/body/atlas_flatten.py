@@ -1,0 +1,112 @@
+"""Flattening a disk: a map onto a circle that cannot fold, then the scaffold method of least distortion, by libigl.
+
+The scaffold method (Jiang, Schaefer and Panozzo, "Simplicial complex augmentation framework for bijective maps",
+SIGGRAPH Asia 2017) triangulates the space around the chart as well, so that neither a triangle of the chart can flip
+nor its boundary run into itself while the symmetric Dirichlet energy falls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse import linalg
+
+from ndf_mi.body import atlas_mesh as mesh
+
+_BATCH = 3
+_MOST_BATCHES = 25
+_SETTLED = 1e-3
+
+
+def harmonic_disk(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The harmonic map (cotangent weights) of a disk of V vertices onto the unit disk, (V, 2) float64.
+
+    The boundary goes to the circle by arc length. Obtuse triangles may flip: see `tutte_disk`.
+    """
+    import igl
+
+    loop, circle = _circle(points, faces)
+    return np.asarray(igl.harmonic(np.ascontiguousarray(points), np.ascontiguousarray(faces, np.int64), loop, circle, 1))
+
+
+def tutte_disk(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Tutte's embedding: as `harmonic_disk`, each inner vertex at the mean of its neighbours; flips nothing but by rounding."""
+    loop, circle = _circle(points, faces)
+    count = len(points)
+    u, v = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    adjacent = sparse.coo_matrix((np.ones(2 * len(u)), (np.r_[u, v], np.r_[v, u])), shape=(count, count)).tocsr()
+    adjacent.data[:] = 1
+    laplacian = sparse.diags(np.asarray(adjacent.sum(1)).ravel()) - adjacent
+    inner = np.setdiff1d(np.arange(count), loop)
+    flat = np.zeros((count, 2))
+    flat[loop] = circle
+    if len(inner):
+        system = sparse.csc_matrix(laplacian[inner][:, inner])
+        flat[inner] = linalg.splu(system).solve(-(laplacian[inner][:, loop] @ circle))
+    return flat
+
+
+def _circle(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices of the one boundary loop, and where they go on the unit circle."""
+    (loop,) = mesh.boundary_loops(faces, mesh.opposites(faces))
+    length = np.linalg.norm(points[np.roll(loop, -1)] - points[loop], axis=1)
+    length = np.maximum(length, 1e-3 * length.mean())
+    angle = 2 * np.pi * (np.cumsum(length) - length) / length.sum()
+    return loop, np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def start(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:
+    """The first of the harmonic map and Tutte's in which no triangle is flipped, scaled to the surface's area; or None."""
+    area = mesh.doubled_areas(points[faces]).sum() / 2
+    for method in (harmonic_disk, tutte_disk):
+        flat = method(points, faces) * np.sqrt(area / np.pi)
+        found = mesh.doubled_areas(flat[faces])
+        if np.isfinite(flat).all() and found.min() > 0:
+            return flat
+    return None
+
+
+def relaxed(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> Iterator[np.ndarray]:
+    """Maps of less and less symmetric Dirichlet energy from a first one without flips, (V, 2) float64 each.
+
+    The boundary is free. Ends when three iterations gain less than a thousandth, or after 75.
+    """
+    import igl
+    from igl import triangle
+
+    # The method's weights are absolute numbers, made for a surface of the area 1.
+    scale = np.sqrt(mesh.doubled_areas(points[faces]).sum() / 2)
+    data = triangle.SCAFData()
+    triangle.scaf_precompute(
+        np.asfortranarray(points / scale), np.asfortranarray(faces, np.int32), np.asfortranarray(flat / scale),
+        igl.MappingEnergyType.SYMMETRIC_DIRICHLET, np.zeros(0, np.int32), np.zeros((0, 2), order="F"), 0.0, data,
+    )  # fmt: skip
+    before = np.inf
+    for _ in range(_MOST_BATCHES):
+        flat = np.array(triangle.scaf_solve(_BATCH, data))[: len(points), :2] * scale
+        yield flat
+        energy = symmetric_dirichlet(points, faces, flat)
+        if not energy < (1 - _SETTLED) * before:
+            return
+        before = energy
+
+
+def stretches(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    """The singular values of each triangle's map from the surface to the plane, (F, 2) float64, the larger first."""
+    a, b = np.moveaxis(points[faces[:, 1:]] - points[faces[:, :1]], 1, 0)
+    along = a / np.linalg.norm(a, axis=1, keepdims=True)
+    x = np.einsum("ij,ij->i", b, along)
+    y = np.linalg.norm(b - x[:, None] * along, axis=1)
+    p, q = np.moveaxis(flat[faces[:, 1:]] - flat[faces[:, :1]], 1, 0)
+    first = p / np.linalg.norm(a, axis=1, keepdims=True)
+    second = (q - x[:, None] * first) / y[:, None]
+    return np.linalg.svd(np.stack([first, second], axis=2), compute_uv=False)
+
+
+def symmetric_dirichlet(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> float:
+    """Mean over the surface of (σ₁² + σ₂² + σ₁⁻² + σ₂⁻²)/4: 1 for an isometry, more for anything else."""
+    with np.errstate(divide="ignore"):
+        squared = stretches(points, faces, flat) ** 2
+        return float(np.average((squared + 1 / squared).sum(1) / 4, weights=mesh.doubled_areas(points[faces])))
