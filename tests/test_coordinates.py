@@ -102,7 +102,7 @@ def test_without_a_pose_network_nothing_depends_on_the_pose(make_run):
     assert (one.evaluate(x, d, handle, inside).sigma.numpy() == other.evaluate(x, d, handle, inside).sigma.numpy()).all()
 
 
-@pytest.mark.parametrize("changes, key", [({"coordinates": "uvw"}, "coordinates"), ({"distance": "half"}, "distance"), ({"strata": 0}, "strata")])
-def test_wrong_kinds_are_named(changes, key):
+@pytest.mark.parametrize("key, value", [("coordinates", "uvw"), ("distance", "half"), ("strata", 0)])
+def test_wrong_kinds_are_named(key, value):
     with pytest.raises(InputError, match=key):
-        dataclasses.replace(TINY, **changes)
+        dataclasses.replace(TINY, **{key: value})

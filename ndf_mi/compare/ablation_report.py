@@ -116,7 +116,7 @@ def _rows(results: Results) -> list[list[str]]:
             full = results.method("full")
             here = None if method.key == "full" or full is None else tables.difference(
                 method.mean(split, "box_psnr"), full.mean(split, "box_psnr"))
-            row += ["" if here is None else tables.signed("box_psnr", here), "" if found is None else tables.signed("box_psnr", found.paper)]
+            row += ["" if value is None else tables.signed("box_psnr", value) for value in (here, found and found.paper)]
             if found is not None:
                 agreed.append(f"{'yes' if found.agrees else 'no'}")
         table.append([*row, " / ".join(agreed)])
@@ -153,8 +153,8 @@ def _chosen(results: Results, split: str) -> Sequence[View]:
     """Views spread evenly over those that every variant has, by frame."""
     views = [image.view for image in results.methods[0].images if image.view.split == split and image.sampled]
     views = sorted((view for view in views if all(method.find(view) for method in results.methods)), key=lambda v: (v.frame, v.camera))
-    picks = np.linspace(0, len(views) - 1, min(_VIEWS, len(views)) + 2).round().astype(int)[1:-1] if views else []
-    return [views[i] for i in dict.fromkeys(picks)]
+    picks = np.linspace(0, max(len(views) - 1, 0), _VIEWS + 2).round().astype(int)[1:-1]
+    return [views[i] for i in dict.fromkeys(picks.tolist())] if views else []
 
 
 def _cut(capture: Capture, view: View, image: np.ndarray) -> np.ndarray:

@@ -54,7 +54,8 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
             width = add(f"deform{i}", width, pose if i == 0 else 0, w)
         add("deform_out", width, 0, preset.dimension)
 
-    encoded = frequency_width(preset.dimension, preset.octaves) if preset.encoding == "frequency" else preset.grid_levels * preset.grid_features
+    frequencies = frequency_width(preset.dimension, preset.octaves)
+    encoded = frequencies if preset.encoding == "frequency" else preset.grid_levels * preset.grid_features
     width = encoded
     for i, w in enumerate(preset.density_layers):
         joined = preset.density_skip > 0 and i == preset.density_skip

@@ -14,8 +14,8 @@ from ndf_mi.options import read_options
 class Preset:
     """Everything that decides a field's architecture. Every entry is an option of ``ndf-mi optimise``.
 
-    Symbols follow the paper: u* is the projected point (u, v, l), or what `coordinates` puts in its place, in the unit cube, ũ = u* + `deformation_scale`·D(u*, θ),
-    and γ the frequency encoding.
+    Symbols follow the paper: u* is the projected point (u, v, l), or what `coordinates` puts in its place, in the unit cube;
+    ũ = u* + `deformation_scale`·D(u*, θ), and γ the frequency encoding.
     """
 
     name: str = "fast"
