@@ -116,7 +116,8 @@ def _rows(results: Results) -> list[list[str]]:
             full = results.method("full")
             here = None if method.key == "full" or full is None else tables.difference(
                 method.mean(split, "box_psnr"), full.mean(split, "box_psnr"))
-            row += ["" if value is None else tables.signed("box_psnr", value) for value in (here, found and found.paper)]
+            paper = None if found is None else found.paper
+            row += ["" if value is None else tables.signed("box_psnr", value) for value in (here, paper)]
             if found is not None:
                 agreed.append(f"{'yes' if found.agrees else 'no'}")
         table.append([*row, " / ".join(agreed)])
