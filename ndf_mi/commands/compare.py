@@ -1,4 +1,4 @@
-"""``ndf-mi compare``: a run beside the textured mesh, on held-out views and poses."""
+"""``ndf-mi compare``: a run beside textured meshes, on held-out views and poses."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ import tyro
 
 @dataclass
 class Compare:
-    """Compare a trained field with a textured mesh that is trained on the same images; write report.html.
+    """Compare a trained field with textured meshes that are trained on the same images; write report.html.
 
-    The mesh is trained until its loss stops falling and, where that takes longer than the field's training did, once
-    more for the same time. What an earlier call has trained or measured with the same settings is kept.
+    One mesh is the posed body with a texture; the other one has its vertices optimised, too. Each is trained until its
+    loss stops falling and, where that takes longer than the field's training did, once more for the same time. What an
+    earlier call has trained or measured with the same settings is kept.
     """
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
@@ -28,7 +29,7 @@ class Compare:
     """Folder for the report, figures and pictures; RUN by default."""
 
     mesh_seconds: float | None = None
-    """Seconds of training for the mesh of equal time; the run's own training time by default."""
+    """Seconds of training for the meshes of equal time; the run's own training time by default."""
 
     protocol: Literal["ours", "zju", "dynacap"] = "ours"
     """Which images are measured, what the capture must hold and which figures lead; docs/protocols.md describes each."""
@@ -40,13 +41,16 @@ class Compare:
     """Successive frames of each split, in one camera, that temporal consistency is measured on; 0 leaves it out."""
 
     texture: int = 512
-    """Texels a side of the mesh's texture."""
+    """Texels a side of the meshes' textures."""
 
     samples: int = 128
     """Candidate samples a ray of the field."""
 
     seed: int = 0
-    """Of the choice of images and of the mesh's training."""
+    """Of the choice of images and of the meshes' training."""
+
+    offsets: Literal["all", "equal-time", "none"] = "all"
+    """The mesh with optimised vertices: trained like the other one, only for the equal time, or left out."""
 
     def run(self) -> None:
         """Compares, prints the table and says where the report is."""
@@ -56,7 +60,14 @@ class Compare:
 
         folder = self.out or self.run_folder
         settings = Settings(
-            self.mesh_seconds, self.max_images, self.texture, self.samples, self.seed, self.protocol, self.sequence
+            self.mesh_seconds,
+            self.max_images,
+            self.texture,
+            self.samples,
+            self.seed,
+            self.protocol,
+            self.sequence,
+            self.offsets,
         )
         comparison = Comparison(self.run_folder, self.capture, folder, settings, command_line(self._arguments()))
         with ConsoleWatcher(sys.stderr) as watcher:

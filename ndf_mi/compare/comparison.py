@@ -1,4 +1,4 @@
-"""A run beside the textured mesh on one capture: trains and measures what is missing, writes the report."""
+"""A run beside the textured meshes on one capture: trains and measures what is missing, writes the report."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from ndf_mi.compare.flicker import choose_sequences
 from ndf_mi.compare.methods.base import Method
 from ndf_mi.compare.methods.mesh import TexturedMesh
 from ndf_mi.compare.methods.ndf import NeuralField
+from ndf_mi.compare.methods.offset_mesh import OffsetMesh
 from ndf_mi.compare.report import write_report
 from ndf_mi.compare.results import MethodResult, Results
 from ndf_mi.errors import InputError
@@ -24,8 +25,20 @@ RESULTS = "compare.json"
 REPORT = "report.html"
 WORK = "compare"
 PICTURES = "pictures"
-CONVERGED = "mesh-converged"
-EQUAL_TIME = "mesh-equal-time"
+OFFSETS = ("all", "equal-time", "none")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of mesh: the prefix of its folders, its name for people, and its class."""
+
+    key: str
+    label: str
+    type: type[TexturedMesh]
+
+
+MESH = Kind("mesh", "Mesh", TexturedMesh)
+OFFSET_MESH = Kind("offset-mesh", "Mesh with offsets", OffsetMesh)
 
 
 @dataclass(frozen=True)
@@ -33,13 +46,15 @@ class Settings:
     """How to compare.
 
     Attributes:
-        mesh_seconds: time for the mesh of equal time; None takes the run's own training time.
+        mesh_seconds: time for the meshes of equal time; None takes the run's own training time.
         max_images: images measured of each held-out split; None takes the protocol's number, 48 for `ours`.
-        texture: texels a side of the mesh's texture.
+        texture: texels a side of the meshes' textures.
         samples: candidate samples a ray of the field.
-        seed: of the choice of images and of the mesh's training.
+        seed: of the choice of images and of the meshes' training.
         protocol: name of the protocol that images are chosen by.
         sequence: successive frames a split that temporal consistency is measured on; 0 leaves it out.
+        offsets: the mesh with vertex offsets: `all` trains it as the other one, `equal-time` for the equal time only,
+            `none` leaves it out.
     """
 
     mesh_seconds: float | None = None
@@ -49,8 +64,11 @@ class Settings:
     seed: int = 0
     protocol: str = protocols.OURS.name
     sequence: int = 12
+    offsets: str = "all"
 
     def __post_init__(self) -> None:
+        if self.offsets not in OFFSETS:
+            raise InputError("option offsets", repr(self.offsets), f"one of {', '.join(OFFSETS)}")
         for key in ("max_images", "texture", "samples"):
             if getattr(self, key) is not None and getattr(self, key) < 1:
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "at least 1")
@@ -105,6 +123,7 @@ class Comparison:
         expect_capture(self._run, self._capture)
         self._field = NeuralField(self._run, settings.samples)
         self._budget = self._mesh_seconds()
+        self._rates: dict[str, float] = {}
         self._protocol = protocols.named(settings.protocol)
         self._views = choose_views(self._capture, settings.max_images, settings.seed, self._protocol)
         self._sequences = choose_sequences(self._capture, settings.sequence)
@@ -113,11 +132,9 @@ class Comparison:
 
     def run(self, watcher: Watcher) -> Results:
         """Trains the meshes, measures every method; `compare.json` after each image, `report.html` at the end."""
-        converged = self._mesh(CONVERGED, None, watcher)
-        meshes = {CONVERGED: (converged, "Mesh, to convergence")}
-        if not self._stands_for_equal_time(converged):
-            equal = self._mesh(EQUAL_TIME, self._budget, watcher)
-            meshes = {EQUAL_TIME: (equal, "Mesh, equal time"), **meshes}
+        meshes = self._meshes(MESH, watcher, converge=True)
+        if self.settings.offsets != "none":
+            meshes |= self._meshes(OFFSET_MESH, watcher, converge=self.settings.offsets == "all")
         self._measure("ndf", "NDF", self._field, self._field.fingerprint(), watcher)
         for key, (mesh, label) in meshes.items():
             self._measure(key, label, mesh, mesh.fingerprint(), watcher)
@@ -125,6 +142,17 @@ class Comparison:
         self.results.write(self.folder / RESULTS)
         write_report(self.folder / REPORT, self.results, self._capture, self._work / PICTURES, self._field.history)
         return self.results
+
+    def _meshes(self, kind: Kind, watcher: Watcher, converge: bool) -> dict[str, tuple[TexturedMesh, str]]:
+        """The meshes of a kind and their labels, by their keys."""
+        meshes: dict[str, tuple[TexturedMesh, str]] = {}
+        if converge:
+            converged = self._mesh(kind, f"{kind.key}-converged", None, watcher)
+            meshes = {f"{kind.key}-converged": (converged, f"{kind.label}, to convergence")}
+            if self._stands_for_equal_time(converged):
+                return meshes
+        equal = self._mesh(kind, f"{kind.key}-equal-time", self._budget, watcher)
+        return {f"{kind.key}-equal-time": (equal, f"{kind.label}, equal time"), **meshes}
 
     def _stands_for_equal_time(self, converged: TexturedMesh) -> bool:
         """Whether the converged mesh took no longer than the run, so that equal time has nothing to add to it.
@@ -134,8 +162,8 @@ class Comparison:
         facts = converged.facts()
         return self.settings.mesh_seconds is None and facts["converged"] and facts["seconds"] <= self._budget
 
-    def _mesh(self, key: str, budget: float | None, watcher: Watcher) -> TexturedMesh:
-        """The mesh of this budget, from the folder if one of the same settings is there."""
+    def _mesh(self, kind: Kind, key: str, budget: float | None, watcher: Watcher) -> TexturedMesh:
+        """The mesh of this kind and budget, from the folder if one of the same settings is there."""
         folder = self._work / key
         wanted: dict[str, Any] = {
             "size": self.settings.texture,
@@ -144,12 +172,13 @@ class Comparison:
             "capture": self._capture.digest,
         }
         if (folder / "mesh.json").exists():
-            mesh = TexturedMesh.load(folder, self._capture)
+            mesh = kind.type.load(folder, self._capture)
             if all(mesh.facts()[name] == value for name, value in wanted.items()):
+                self._note_rates(mesh)
                 return mesh
-        rate = self._known_rate(wanted) if budget is not None else None
-        mesh = TexturedMesh(self._capture, self.settings.texture, rate)
-        label = "mesh to convergence" if budget is None else "mesh of equal time"
+        rates = {name: rate for name, rate in self._rates.items() if name in kind.type.facts_type.__dataclass_fields__}
+        mesh = kind.type(self._capture, self.settings.texture, **rates)
+        label = f"{kind.label.lower()} {'to convergence' if budget is None else 'of equal time'}"
         mesh.fit(
             self._capture,
             budget,
@@ -157,13 +186,13 @@ class Comparison:
             lambda seconds, step, loss: watcher.training(label, seconds, budget, step, loss),
         )
         mesh.save(folder)
+        self._note_rates(mesh)
         return mesh
 
-    def _known_rate(self, wanted: dict[str, Any]) -> float | None:
-        """The rate that the sweep for the converged mesh found: the same sweep would find it again."""
-        facts = TexturedMesh.load(self._work / CONVERGED, self._capture).facts()
-        same = all(facts[name] == wanted[name] for name in ("size", "seed", "capture"))
-        return facts["rate"] if same else None
+    def _note_rates(self, mesh: TexturedMesh) -> None:
+        """Keeps the rates that a sweep found for the meshes to come: the same sweep would find them again."""
+        facts = mesh.facts()
+        self._rates |= {name: facts[name] for name in ("rate", "offset_rate") if name in facts}
 
     def _measure(self, key: str, label: str, method: Method, fingerprint: str, watcher: Watcher) -> None:
         known = self.results.method(key)

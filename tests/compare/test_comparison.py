@@ -1,4 +1,4 @@
-"""The whole comparison: a run, both meshes, the results and what a second call does."""
+"""The whole comparison: a run, the meshes, the results and what a second call does."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ndf_mi.commands.compare import Compare
 from ndf_mi.commands.compare_console import print_tables
 from ndf_mi.compare import comparison, metrics
 from ndf_mi.compare.comparison import Comparison, Settings
-from ndf_mi.compare.methods import mesh_fit
+from ndf_mi.compare.methods import mesh_fit, offset_fit
 from ndf_mi.compare.methods.ndf import NeuralField, read_history
 from ndf_mi.errors import InputError
 from ndf_mi.field import PRESETS
@@ -63,6 +63,8 @@ def short_sweep(monkeypatch):
     monkeypatch.setattr(mesh_fit, "SWEEP_STEPS", 4)
     monkeypatch.setattr(mesh_fit, "WINDOW_STEPS", 4)
     monkeypatch.setattr(mesh_fit, "TOLERANCE", 0.3)
+    monkeypatch.setattr(offset_fit, "OFFSET_RATES", (2e-3, 8e-3))
+    monkeypatch.setattr(offset_fit, "CONTOUR_SAMPLES", 256)
 
 
 def compared(run, capture, folder, settings=SETTINGS):
@@ -71,11 +73,12 @@ def compared(run, capture, folder, settings=SETTINGS):
 
 
 def test_compares_once_and_goes_on_where_it_was(run, capture, tmp_path, monkeypatch, capsys):
-    # Convergence is faster than an hour, so one mesh stands for both.
+    # Convergence is faster than an hour, so one mesh of each kind stands for both times.
     first, watcher = compared(run, capture, tmp_path)
-    assert watcher.trained == {"mesh to convergence"}
-    assert [method.key for method in first.methods] == ["ndf", "mesh-converged"]
-    assert len(watcher.measured_images) == 2 * 3 and watcher.measured_images[-1][1:] == (3, 3)
+    assert watcher.trained == {"mesh to convergence", "mesh with offsets to convergence"}
+    assert [method.key for method in first.methods] == ["ndf", "mesh-converged", "offset-mesh-converged"]
+    assert first.methods[1].facts["rate"] == first.methods[2].facts["rate"] and not first.methods[2].facts["sweep"]
+    assert len(watcher.measured_images) == 3 * 3 and watcher.measured_images[-1][1:] == (3, 3)
     assert first.methods[1].mean("novel_view", "box_psnr") > first.methods[0].mean("novel_view", "box_psnr")
     assert (tmp_path / "report.html").stat().st_size > 10_000
     document = json.loads((tmp_path / "compare.json").read_text())
@@ -85,17 +88,29 @@ def test_compares_once_and_goes_on_where_it_was(run, capture, tmp_path, monkeypa
     assert not watcher.trained and not watcher.measured_images
     assert [method.images for method in again.methods] == [method.images for method in first.methods]
 
-    # A time that is asked for is trained for, with the rate that the sweep found.
+    # A time that is asked for is trained for, with the rates that the sweeps found.
     timed, watcher = compared(run, capture, tmp_path, replace(SETTINGS, mesh_seconds=0.5))
-    assert watcher.trained == {"mesh of equal time"}
-    assert [method.key for method in timed.methods] == ["ndf", "mesh-equal-time", "mesh-converged"]
-    assert timed.methods[1].facts["budget"] == 0.5
-    assert timed.methods[1].facts["rate"] == timed.methods[2].facts["rate"]
-    assert {label for label, _, _ in watcher.measured_images} == {"Mesh, equal time"}
+    assert watcher.trained == {"mesh of equal time", "mesh with offsets of equal time"}
+    kinds = [f"{kind}-{end}" for kind in ("mesh", "offset-mesh") for end in ("equal-time", "converged")]
+    assert [method.key for method in timed.methods] == ["ndf", *kinds]
+    for equal, converged in (timed.methods[1:3], timed.methods[3:5]):
+        assert equal.facts["budget"] == 0.5 and equal.facts["rate"] == converged.facts["rate"]
+        assert equal.facts.get("offset_rate") == converged.facts.get("offset_rate")
+    assert {label for label, _, _ in watcher.measured_images} == {"Mesh, equal time", "Mesh with offsets, equal time"}
 
     print_tables(timed)
     printed = capsys.readouterr().out
     assert "Novel views" in printed and "Mesh, equal time" in printed and "Box PSNR (dB)" in printed
+
+
+def test_offsets_for_the_equal_time_or_not_at_all(run, capture, tmp_path):
+    plain, watcher = compared(run, capture, tmp_path, replace(SETTINGS, offsets="none"))
+    assert [method.key for method in plain.methods] == ["ndf", "mesh-converged"]
+    settings = replace(SETTINGS, mesh_seconds=0.5, offsets="equal-time")
+    timed, watcher = compared(run, capture, tmp_path, settings)
+    assert watcher.trained == {"mesh of equal time", "mesh with offsets of equal time"}
+    keys = ["ndf", "mesh-equal-time", "mesh-converged", "offset-mesh-equal-time"]
+    assert [method.key for method in timed.methods] == keys
 
 
 def test_an_interrupted_comparison_keeps_what_it_has(run, capture, tmp_path, monkeypatch):
@@ -150,7 +165,16 @@ def test_a_run_without_training_time_needs_the_option(run, capture, tmp_path, mo
 
 
 @pytest.mark.parametrize(
-    "option", [{"max_images": 0}, {"texture": 0}, {"samples": -1}, {"mesh_seconds": 0.0}, {"seed": -1}, {"sequence": 1}]
+    "option",
+    [
+        {"max_images": 0},
+        {"texture": 0},
+        {"samples": -1},
+        {"mesh_seconds": 0.0},
+        {"seed": -1},
+        {"sequence": 1},
+        {"offsets": "some"},
+    ],
 )
 def test_options_are_checked(option):
     with pytest.raises(InputError, match="option"):

@@ -7,7 +7,7 @@ import json
 import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -23,6 +23,9 @@ from ndf_mi.compare.methods.mesh_fit import Progress, TextureFit, best_rate
 from ndf_mi.compare.methods.surface import TexturedSurface
 from ndf_mi.compare.methods.texture import fill_unseen
 from ndf_mi.errors import InputError
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 RENDER_SPP = 64
 _VERSION = 1
@@ -73,6 +76,8 @@ class TexturedMesh:
         rate: Adam's learning rate; None finds the best of a sweep when `fit` is called.
     """
 
+    facts_type: type[MeshFacts] = MeshFacts
+
     def __init__(self, capture: Capture, size: int = 512, rate: float | None = None) -> None:
         self.name = "mesh"
         self._surface = TexturedSurface(capture, size)
@@ -94,7 +99,13 @@ class TexturedMesh:
         facts = self._facts
         if not facts.rate:
             facts.rate, facts.sweep, facts.sweep_seconds = best_rate(self._surface, capture, facts.size, seed)
-        fit = TextureFit(self._surface, capture, facts.size, facts.rate, seed)
+        self._train(TextureFit(self._surface, capture, facts.size, facts.rate, seed), capture, seconds, seed, progress)
+
+    def _train(
+        self, fit: TextureFit, capture: Capture, seconds: float | None, seed: int, progress: Progress | None
+    ) -> None:
+        """Runs a fit, takes its texture and notes how it went."""
+        facts = self._facts
         facts.converged = fit.for_seconds(seconds, progress) if seconds is not None else fit.to_convergence(progress)
         self.seen = fit.seen()
         self.texture = fill_unseen(fit.texture(), self.seen)
@@ -104,26 +115,39 @@ class TexturedMesh:
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the capture's background, `RENDER_SPP` samples a pixel."""
-        self._surface.set_frame(frame)
+        self._pose(frame)
         self._surface.set_texture(mi.TensorXf(srgb_to_linear(self.texture)))
         with dr.suspend_grad():
             image = linear_to_srgb(self._surface.render(camera, RENDER_SPP, seed=0)).numpy()
         return np.clip(image, 0, 1)
 
+    def _pose(self, frame: int) -> None:
+        """Puts the surface where it is in a frame."""
+        self._surface.set_frame(frame)
+
     def facts(self) -> dict[str, Any]:
-        """`MeshFacts` as a dictionary."""
+        """The facts (`facts_type`) as a dictionary."""
         return asdict(self._facts)
 
     def fingerprint(self) -> str:
-        """SHA-256 (hex) over the texture, the samples a pixel and the capture: equal ones give equal images."""
+        """SHA-256 (hex) over what is rendered, the samples a pixel and the capture: equal ones give equal images."""
         state = hashlib.sha256(f"{RENDER_SPP} {self._facts.capture}".encode())
-        state.update(self.texture.tobytes())
+        for name, values in self.tensors().items():
+            if name != "seen":
+                state.update(values.tobytes())
         return state.hexdigest()
 
+    def tensors(self) -> dict[str, np.ndarray]:
+        """What is stored: `texture` (size, size, 3) float32 sRGB, `seen` (size, size) uint8."""
+        return {"texture": self.texture, "seen": self.seen.astype(np.uint8)}
+
+    def _restore(self, tensors: dict[str, np.ndarray]) -> None:
+        self.texture, self.seen = tensors["texture"], tensors["seen"].astype(bool)
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes `mesh.json`, `mesh.safetensors` (texture, seen) and `texture.png`, to look at, into the folder."""
+        """Writes `mesh.json`, `mesh.safetensors` (`tensors`) and `texture.png`, to look at, into the folder."""
         folder = Path(path)
-        tensors = save({"texture": self.texture, "seen": self.seen.astype(np.uint8)})
+        tensors = save(self.tensors())
         with files.replacing(folder / "texture.png") as beside:
             mi.Bitmap(np.round(np.clip(self.texture, 0, 1) * 255).astype(np.uint8)).write(str(beside))
         with files.replacing(folder / "mesh.safetensors") as beside:
@@ -131,35 +155,36 @@ class TexturedMesh:
         files.write_json(folder / "mesh.json", {"version": _VERSION, **self.facts()})
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str], capture: Capture) -> TexturedMesh:
+    def load(cls, path: str | os.PathLike[str], capture: Capture) -> Self:
         """Reads the folder `path`.
 
         Raises:
             InputError: a file is missing, damaged, or of another version.
         """
         folder = Path(path)
-        document = _read_json(folder / "mesh.json")
+        document = _read_json(folder / "mesh.json", cls.facts_type)
         mesh = cls(capture, size=document["size"], rate=document["rate"])
-        mesh._facts = MeshFacts(**{key: value for key, value in document.items() if key != "version"})
+        mesh._facts = cls.facts_type(**{key: value for key, value in document.items() if key != "version"})
         file = folder / "mesh.safetensors"
         try:
             tensors = load_file(file)
         except (OSError, SafetensorError) as error:
             raise InputError(file, str(error), "a texture as `ndf-mi compare` writes it") from error
-        shape = (document["size"], document["size"], 3)
-        found = getattr(tensors.get("texture"), "shape", None)
-        if found != shape or getattr(tensors.get("seen"), "shape", None) != shape[:2]:
-            raise InputError(file, f"texture of shape {found}", f"texture {shape} and seen {shape[:2]}")
-        mesh.texture, mesh.seen = tensors["texture"], tensors["seen"].astype(bool)
+        for name, values in mesh.tensors().items():
+            found = tensors.get(name)
+            if found is None or (found.shape, found.dtype) != (values.shape, values.dtype):
+                what = "nothing" if found is None else f"{found.dtype} of shape {found.shape}"
+                raise InputError(f"{file}: {name}", what, f"{values.dtype} of shape {values.shape}")
+        mesh._restore(tensors)
         return mesh
 
 
-def _read_json(file: Path) -> dict[str, Any]:
+def _read_json(file: Path, facts_type: type[MeshFacts]) -> dict[str, Any]:
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(file, str(error), "a JSON file as `ndf-mi compare` writes it") from error
-    keys = {"version", *MeshFacts.__dataclass_fields__}
+    keys = {"version", *facts_type.__dataclass_fields__}
     if not isinstance(document, dict) or document.get("version") != _VERSION or set(document) != keys:
         found = document.get("version") if isinstance(document, dict) else type(document).__name__
         raise InputError(file, f"version {found}", f"version {_VERSION} with {', '.join(sorted(keys))}")

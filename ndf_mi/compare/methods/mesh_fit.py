@@ -44,6 +44,7 @@ class TextureFit:
         rate: learning rate.
         seed: of the order of frames and of the samples.
         frames: a subset of the training frames; all by default.
+        margin: metres around the body that the images trained on show, too.
     """
 
     def __init__(
@@ -54,9 +55,10 @@ class TextureFit:
         rate: float,
         seed: int,
         frames: Sequence[int] | None = None,
+        margin: float = 0.0,
     ) -> None:
         self._surface = surface
-        self._views = TrainingViews(capture, seed, frames)
+        self._views = TrainingViews(capture, seed, frames, margin)
         self._rate = rate
         self._seed = seed
         self._optimizer = mi.ad.Adam(lr=rate, mask_updates=True)
@@ -88,18 +90,24 @@ class TextureFit:
         self._surface.set_texture(srgb_to_linear(texture))
         losses = []
         for index, (camera, rectangle, truth) in enumerate(views):
-            seed = (self._seed * 7919 + self.steps) * len(views) + index
-            image = linear_to_srgb(self._surface.render(camera, TRAIN_SPP, seed, rectangle))
+            image = linear_to_srgb(self._surface.render(camera, TRAIN_SPP, self._sampler_seed(index, views), rectangle))
             losses.append(dr.mean(dr.square(image - mi.TensorXf(truth)), axis=None))
         loss = sum(losses[1:], losses[0]) / len(losses)
         dr.backward(loss)
-        gradient = dr.grad(texture)
-        self._seen |= dr.select(gradient.array != 0, mi.UInt32(1), mi.UInt32(0))
-        self._optimizer.step()
-        self._optimizer["texture"] = dr.maximum(dr.detach(self._optimizer["texture"]), 0)
+        self._step_texture()
         dr.eval(self._seen, self._optimizer["texture"], loss)
         self.steps += 1
         return float(loss.array[0])
+
+    def _sampler_seed(self, index: int, views: Sequence[object]) -> int:
+        return (self._seed * 7919 + self.steps) * len(views) + index
+
+    def _step_texture(self) -> None:
+        """Adam's step from the gradient that the texture holds."""
+        gradient = dr.grad(self._optimizer["texture"])
+        self._seen |= dr.select(gradient.array != 0, mi.UInt32(1), mi.UInt32(0))
+        self._optimizer.step()
+        self._optimizer["texture"] = dr.maximum(dr.detach(self._optimizer["texture"]), 0)
 
     def set_rate(self, rate: float) -> None:
         """Changes the learning rate from the next step on."""
@@ -158,8 +166,13 @@ def best_rate(
     Returns the rate, the loss of each by the rate as text, and the seconds that it took.
     """
     start = time.perf_counter()
-    train = capture.splits["train"].frames
-    chosen = [train[i] for i in np.unique(np.linspace(0, len(train) - 1, SWEEP_FRAMES).round().astype(int))]
+    chosen = sweep_frames(capture)
     losses = {rate: TextureFit(surface, capture, size, rate, seed, chosen).for_steps(SWEEP_STEPS) for rate in RATES}
     best = min(losses, key=lambda rate: losses[rate])
     return best, {f"{rate:g}": loss for rate, loss in losses.items()}, time.perf_counter() - start
+
+
+def sweep_frames(capture: Capture) -> list[int]:
+    """`SWEEP_FRAMES` training frames, spread evenly; all if there are no more."""
+    train = capture.splits["train"].frames
+    return [train[i] for i in np.unique(np.linspace(0, len(train) - 1, SWEEP_FRAMES).round().astype(int))]

@@ -11,6 +11,8 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.compare.methods.texture import split_seams
 
+Rectangle = tuple[int, int, int, int]
+
 
 class TexturedSurface:
     """One mesh for all frames of a capture; its vertices move, its topology and texture coordinates stay.
@@ -26,6 +28,7 @@ class TexturedSurface:
     def __init__(self, capture: Capture, size: int) -> None:
         body = capture.body
         self._source, faces, uv = split_seams(body.faces, body.uv, body.uv_faces)
+        self._index = mi.UInt32(self._source.astype(np.uint32))
         self._poses = capture.poses
         self._frame: int | None = None
         self._background = mi.Color3f(srgb_to_linear(capture.background).tolist())
@@ -51,25 +54,34 @@ class TexturedSurface:
     def set_frame(self, frame: int) -> None:
         """Moves the vertices to `frame`; kernels stay. InputError names the frames there are."""
         if frame != self._frame:
-            self._parameters[self._key] = self._vertices(frame)
-            self._parameters.update()
+            self._move(self._vertices(frame))
             self._frame = frame
+
+    def set_vertices(self, vertices: mi.Float) -> None:
+        """Moves the body's vertices to these, flat 3·V, metres in world space; attached if their gradient is enabled."""
+        self._move(dr.ravel(dr.gather(mi.Point3f, vertices, self._index)))
+        self._frame = None
 
     def set_texture(self, linear: mi.TensorXf) -> None:
         """Sets the emitted radiance, (size, size, 3), attached if its gradient is enabled."""
         self._bitmap_parameters["data"] = linear
         self._bitmap_parameters.update()
 
-    def render(
-        self, camera: Camera, spp: int, seed: int, rectangle: tuple[int, int, int, int] | None = None
+    def render(self, camera: Camera, spp: int, seed: int, rectangle: Rectangle | None = None) -> mi.TensorXf:
+        """Linear radiance over the capture's background, (h, w, 3); arguments as `layers`."""
+        return self.layers(camera, spp, seed, rectangle, coverage=False)
+
+    def layers(
+        self, camera: Camera, spp: int, seed: int, rectangle: Rectangle | None = None, coverage: bool = True
     ) -> mi.TensorXf:
-        """Linear radiance over the capture's background, box-filtered: (h, w, 3) of the rectangle x, y, width, height.
+        """Linear radiance and the share of the pixel that the body covers, box-filtered: (h, w, 4) of the rectangle.
 
         Args:
             camera: a pinhole camera.
             spp: samples a pixel, placed by the `multijitter` sampler.
             seed: of the sampler.
-            rectangle: the part of the image to render; everything by default.
+            rectangle: the part of the image to render, x, y, width, height; everything by default.
+            coverage: whether there is a fourth channel.
         """
         x, y, width, height = rectangle or (0, 0, camera.w, camera.h)
         sampler = mi.load_dict({"type": "multijitter", "sample_count": spp})
@@ -79,9 +91,24 @@ class TexturedSurface:
         sampler.seed(dr.opaque(mi.UInt32, seed), count)
         pixel = dr.arange(mi.UInt32, count) // spp
         corner = mi.Point2f(pixel % width, pixel // width) + dr.opaque(mi.Point2f, [x, y])
-        interaction = self._scene.ray_intersect(camera.rays(corner + sampler.next_2d()))
-        radiance = dr.select(interaction.is_valid(), self._bitmap.eval(interaction), self._background)
-        return dr.mean(mi.TensorXf(dr.ravel(radiance), (height, width, spp, 3)), axis=2)
+        channels = self.radiance(camera.rays(corner + sampler.next_2d()))
+        values = channels if coverage else mi.Color3f(*channels[:3])
+        return dr.mean(mi.TensorXf(dr.ravel(values), (height, width, spp, len(values))), axis=2)
+
+    def radiance(self, ray: mi.Ray3f, active: mi.Bool | bool = True) -> mi.Vector4f:
+        """Linear radiance along rays, and 1 where they meet the body, 0 where they don't."""
+        interaction = self._scene.ray_intersect(ray, active)
+        hit = interaction.is_valid()
+        colour = dr.select(hit, self._bitmap.eval(interaction, hit), self._background)
+        return mi.Vector4f(colour.x, colour.y, colour.z, dr.select(hit, mi.Float(1), 0))
+
+    def occluded(self, ray: mi.Ray3f, active: mi.Bool | bool = True) -> mi.Bool:
+        """Whether rays meet the body before their end."""
+        return self._scene.ray_test(ray, active)
+
+    def _move(self, vertices: mi.Float) -> None:
+        self._parameters[self._key] = vertices
+        self._parameters.update()
 
     def _vertices(self, frame: int) -> mi.Float:
         return mi.Float(self._poses.vertices[self._poses.index(frame)][self._source].astype(np.float32).ravel())

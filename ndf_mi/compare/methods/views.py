@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import binary_dilation, binary_erosion
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
@@ -25,12 +26,16 @@ class TrainingViews:
         capture: the capture.
         seed: of the order.
         frames: a subset of the training frames; all by default.
+        margin: metres around the body that the rectangles hold, too.
+
+    Attributes:
+        area: pixels of the rectangles that there are without a margin, the mean over the cameras.
 
     Raises:
         InputError: the capture has no training split, or the body is out of every training camera's sight.
     """
 
-    def __init__(self, capture: Capture, seed: int, frames: Sequence[int] | None = None) -> None:
+    def __init__(self, capture: Capture, seed: int, frames: Sequence[int] | None = None, margin: float = 0.0) -> None:
         split = capture.splits["train"]
         chosen = split.frames if frames is None else tuple(frames)
         if not chosen or not split.cameras:
@@ -40,12 +45,13 @@ class TrainingViews:
         self._frames = chosen
         self._random = np.random.default_rng(seed)
         self._order: list[int] = []
-        self._corners = {frame: _bounds(capture, self._cameras, frame) for frame in chosen}
-        extent = np.max([box[:, 1] - box[:, 0] for box in self._corners.values()], axis=(0, 1))
-        if not np.isfinite(extent).all():
-            raise InputError(capture.path, "a body behind a training camera", "training cameras that see the body")
-        self._extent = np.ceil(extent).astype(int) + 2
+        bare = {frame: _bounds(capture, self._cameras, frame, 0.0) for frame in chosen}
+        smallest = self._largest(bare)
+        self.area = float(np.mean([np.prod(np.minimum(smallest, [c.w, c.h])) for c in self._cameras]))
+        self._corners = {frame: _bounds(capture, self._cameras, frame, margin) for frame in chosen}
+        self._extent = self._largest(self._corners)
         self._images: dict[tuple[str, int], np.ndarray] = {}
+        self._coverages: dict[tuple[str, int], np.ndarray] = {}
         self._bytes = 0
 
     @property
@@ -70,6 +76,27 @@ class TrainingViews:
         chosen = np.sort(self._random.permutation(len(self._cameras))[:count])
         return frame, [self._view(int(index), frame) for index in chosen]
 
+    def coverage(self, camera: Camera, frame: int, rectangle: Rectangle) -> np.ndarray:
+        """(h, w, 2) float32 of the rectangle: 1 on the performer's mask; 1 where that is certain, off the mask's edge.
+
+        Pixels of the edge, within 3 × 3 of both sides, are covered in part, or the mask may be wrong about them.
+        """
+        key = (camera.name, frame)
+        if key not in self._coverages:
+            mask = self._capture.mask(*key)
+            around = np.ones((3, 3), dtype=bool)
+            certain = binary_erosion(mask, around, border_value=1) | ~binary_dilation(mask, around)
+            self._coverages[key] = np.stack([mask, certain], axis=-1)
+        x, y, width, height = rectangle
+        return self._coverages[key][y : y + height, x : x + width].astype(np.float32)
+
+    def _largest(self, corners: dict[int, np.ndarray]) -> np.ndarray:
+        """(2,) width and height of the largest of rectangles (cameras, low and high, 2), and a pixel on each side."""
+        extent = np.max([box[:, 1] - box[:, 0] for box in corners.values()], axis=(0, 1))
+        if not np.isfinite(extent).all():
+            raise InputError(self._capture.path, "a body behind a training camera", "training cameras that see the body")
+        return np.ceil(extent).astype(int) + 2
+
     def _view(self, index: int, frame: int) -> tuple[Camera, Rectangle, np.ndarray]:
         camera = self._cameras[index]
         width, height = (int(value) for value in np.minimum(self._extent, [camera.w, camera.h]))
@@ -85,8 +112,15 @@ class TrainingViews:
         return camera, (x, y, width, height), self._images[key]
 
 
-def _bounds(capture: Capture, cameras: Sequence[Camera], frame: int) -> np.ndarray:
-    """(cameras, 2, 2): the lowest and highest pixel coordinates of the posed body in each camera, NaN if behind it."""
+def _bounds(capture: Capture, cameras: Sequence[Camera], frame: int, margin: float) -> np.ndarray:
+    """(cameras, 2, 2): the lowest and highest pixel coordinates of the posed body in each camera, NaN if behind it.
+
+    `margin` metres at the body's nearest point are added on each side.
+    """
     vertices = capture.poses.vertices[capture.poses.index(frame)]
-    projected = [camera.project(vertices) for camera in cameras]
-    return np.stack([[points.min(axis=0), points.max(axis=0)] for points in projected])
+    bounds = []
+    for camera in cameras:
+        points = camera.project(vertices)
+        aside = margin * camera.fl_x / max(-camera.to_camera(vertices)[:, 2].max(), 1e-6)
+        bounds.append([points.min(axis=0) - aside, points.max(axis=0) + aside])
+    return np.stack(bounds)

@@ -1,0 +1,89 @@
+"""Offsets from the body in a frame that moves with the skin, and where they are in world space in each frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ndf_mi.body.skinning import joint_transforms
+from ndf_mi.capture.capture import Capture
+
+
+class RestFrames:
+    """Takes offsets at rest to world space: V_i = vertices_i + A_i d_i, with A_i a 3 × 3 matrix for each vertex and frame.
+
+    With a skinning model, rest is the model's, at the capture's shape, and A_i the linear part of the vertex's blended
+    joint transforms: the offset body is what the same skinning makes of the template with d added to it. Without one,
+    rest is the mesh of the first training frame (of the first pose where there is none), and A_i turns the vertex's
+    tangent frame there into its tangent frame now: the normal, and the direction of one edge in the tangent plane.
+
+    Attributes:
+        vertices: (V, 3) float64, the mesh at rest, metres.
+    """
+
+    def __init__(self, capture: Capture) -> None:
+        self._body, self._poses = capture.body, capture.poses
+        body, poses = self._body, self._poses
+        if body.skinned:
+            assert body.template is not None
+            self.vertices = body.template.astype(np.float64)
+            if poses.shape is not None and body.shape_dirs is not None:
+                self.vertices = self.vertices + body.shape_dirs @ poses.shape
+        else:
+            train = capture.splits["train"].frames
+            self.vertices = poses.vertices[poses.index(train[0]) if train else 0].astype(np.float64)
+            self._neighbour = _a_neighbour(body.faces, len(self.vertices))
+            self._frames = self._tangent_frames(self.vertices)
+        self._joints: dict[int, np.ndarray] = {}
+
+    def linear(self, frame: int) -> np.ndarray:
+        """(V, 3, 3) A_i of a frame. InputError names the frames there are."""
+        row = self._poses.index(frame)
+        if not self._body.skinned:
+            now = self._tangent_frames(self._poses.vertices[row].astype(np.float64))
+            return np.einsum("vij,vkj->vik", now, self._frames)
+        if row not in self._joints:
+            p = self._poses
+            moved = joint_transforms(self._body, p.pose[row], p.root_rotation[row], p.translation[row], p.shape)
+            self._joints[row] = moved.matrices.numpy().reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9)
+        return (self._body.weights @ self._joints[row]).reshape(-1, 3, 3)
+
+    def posed(self, frame: int, offsets: np.ndarray) -> np.ndarray:
+        """(V, 3) float32 world positions of the body with the offsets (V, 3), metres."""
+        base = self._poses.vertices[self._poses.index(frame)]
+        return base + np.einsum("vij,vj->vi", self.linear(frame), offsets).astype(np.float32)
+
+    def pull_back(self, frame: int, gradient: np.ndarray) -> np.ndarray:
+        """(V, 3): a gradient with respect to world positions, as one with respect to the offsets: A_iᵀ g_i."""
+        return np.einsum("vij,vi->vj", self.linear(frame), gradient)
+
+    def _tangent_frames(self, vertices: np.ndarray) -> np.ndarray:
+        """(V, 3, 3), columns tangent, bitangent, normal; orthonormal."""
+        normal = _unit(_vertex_normals(vertices, self._body.faces), np.array([0.0, 0.0, 1.0]))
+        edge = vertices[self._neighbour] - vertices
+        across = np.eye(3)[np.abs(normal).argmin(axis=1)]
+        tangent = _unit(_tangential(edge, normal), _unit(_tangential(across, normal), across))
+        return np.stack([tangent, np.cross(normal, tangent), normal], axis=-1)
+
+
+def _a_neighbour(faces: np.ndarray, count: int) -> np.ndarray:
+    """(V,) for each vertex another one that an edge joins to it; itself where there is none."""
+    neighbour = np.arange(count)
+    neighbour[faces.ravel()] = faces[:, [1, 2, 0]].ravel()
+    return neighbour
+
+
+def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 3) sums of the triangles' normals, by area."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    normal = np.repeat(np.cross(b - a, c - a), 3, axis=0)
+    return np.stack([np.bincount(faces.ravel(), normal[:, axis], minlength=len(vertices)) for axis in range(3)], axis=1)
+
+
+def _tangential(vectors: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    return vectors - (vectors * normal).sum(1, keepdims=True) * normal
+
+
+def _unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Unit vectors; `otherwise` where the length is next to nothing."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.where(length > 1e-12, vectors / np.maximum(length, 1e-12), otherwise)
