@@ -6,7 +6,7 @@ A surface of several connected components has a chart for each, side by side in 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,9 @@ from ndf_mi.body.body import Body
 from ndf_mi.errors import InputError
 
 __all__ = ["Atlas", "AtlasReport", "check_atlas", "one_piece", "with_one_piece"]
+
+FRONT = (0.0, 0.0, 1.0)
+"""Where bodies at rest face."""
 
 _GRID = 2.0**24
 _LEAST_AREA = 1e-12
@@ -38,7 +41,7 @@ class Atlas:
     uv_faces: np.ndarray
 
 
-def one_piece(vertices: np.ndarray, faces: np.ndarray) -> Atlas:
+def one_piece(vertices: np.ndarray, faces: np.ndarray, front: Sequence[float] = FRONT) -> Atlas:
     """Cuts a surface open and lays it flat: one chart for each connected component, no flipped triangle, no overlap.
 
     The same input gives the same atlas. Coordinates are multiples of 2⁻²⁴, for which `check_atlas` is exact. Takes
@@ -47,6 +50,7 @@ def one_piece(vertices: np.ndarray, faces: np.ndarray) -> Atlas:
     Args:
         vertices: (V, 3), any unit; those that no triangle names are ignored.
         faces: (F, 3) int32, all of one orientation. Boundaries and handles are allowed.
+        front: (3,), where the body faces: seams prefer its back. Nothing but the seam's place depends on it.
 
     Raises:
         InputError: numbers that are not finite, indices out of range, a triangle without area (below 10⁻¹² of the
@@ -56,6 +60,10 @@ def one_piece(vertices: np.ndarray, faces: np.ndarray) -> Atlas:
     triangles = arrays.indices("faces", faces, (None, 3), 0, len(points)).astype(np.int64)
     if len(triangles) == 0:
         raise InputError("faces", "no triangle", "at least one")
+    facing = arrays.floats("front", np.asarray(front), (3,)).astype(np.float64)
+    if not facing.any():
+        raise InputError("front", "a zero vector", "a direction")
+    facing /= np.linalg.norm(facing)
     opposite = mesh.opposites(triangles)
     doubled = mesh.doubled_areas(points[triangles])
     if doubled.min() <= _LEAST_AREA * doubled.sum():
@@ -67,7 +75,7 @@ def one_piece(vertices: np.ndarray, faces: np.ndarray) -> Atlas:
     component = mesh.components(opposite)
     for number in range(component.max() + 1):
         mine = np.nonzero(component == number)[0]
-        flat, corners = _chart(points, triangles[mine])
+        flat, corners = _chart(points, triangles[mine], facing)
         charts.append(flat)
         uv_faces[mine] = corners + first
         first += len(flat)
@@ -80,12 +88,13 @@ def one_piece(vertices: np.ndarray, faces: np.ndarray) -> Atlas:
     return atlas
 
 
-def with_one_piece(body: Body, vertices: np.ndarray | None = None) -> Body:
+def with_one_piece(body: Body, vertices: np.ndarray | None = None, front: Sequence[float] = FRONT) -> Body:
     """The body with a one-piece atlas in place of its own texel coordinates.
 
     Args:
         body: any body; all but ``uv`` and ``uv_faces`` stays.
         vertices: (V, 3), the pose in which it is laid flat, arms and legs apart; by default the template.
+        front: where it faces in that pose, as in `one_piece`.
 
     Raises:
         InputError: neither vertices nor a template, or as `one_piece`.
@@ -93,16 +102,16 @@ def with_one_piece(body: Body, vertices: np.ndarray | None = None) -> Body:
     vertices = body.template if vertices is None else vertices
     if vertices is None:
         raise InputError("body", "no template", "rest vertices, or the vertices of a pose")
-    atlas = one_piece(vertices, body.faces)
+    atlas = one_piece(vertices, body.faces, front)
     return dataclasses.replace(body, uv=atlas.uv, uv_faces=atlas.uv_faces)
 
 
-def _chart(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _chart(points: np.ndarray, triangles: np.ndarray, front: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Flattens one component: (U, 2) float64 at the surface's scale, and (F, 3) into it."""
     opposite = mesh.opposites(triangles)
     # Vertices at which the surface only touches itself are several in the plane.
     faces, own = _split(triangles, points, opposite, np.zeros(triangles.size, bool))
-    cut = choose_seam(own, faces, opposite)
+    cut = choose_seam(own, faces, opposite, front)
     corners, opened = _split(faces, own, opposite, cut)
     for flat in reversed(list(_attempts(opened, corners))):
         if _rounds_well(flat, corners):

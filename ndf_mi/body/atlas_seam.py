@@ -4,7 +4,8 @@ The seam starts as a tree of shortest paths between the boundary loops, with the
 and the leftover edges of its cotree give those (Erickson and Whittlesey, "Greedy optimal homotopy and homology
 generators", SODA 2005). It then grows to whatever a harmonic map of the cut surface onto a disk squeezes: hands,
 fingers, feet, head. Growing a cut to where the map is stretched most is from Gu, Gortler and Hoppe, "Geometry images",
-SIGGRAPH 2002. Paths prefer edges that are seen from few directions.
+SIGGRAPH 2002. Paths prefer edges that are
+seen from few directions, that face away from the front, and that are long.
 """
 
 from __future__ import annotations
@@ -21,20 +22,29 @@ SQUEEZED = 1e-4
 
 A tube of length L and radius r shrinks by about exp(-2L/r), so that this asks for limbs of more than about 4.6 radii."""
 
+LEAST_PERIMETER = 0.5
+"""The least perimeter of a chart on the surface, as a share of that of a flat disk of its area, which has the least of all
+flat shapes. Below, as for a ball with a small hole, the seam grows."""
+
+HIDDEN = 0.15
+"""Share of directions from which a vertex must be seen to count as squeezed: the inside of a mouth may be small."""
+
 _ROUNDS = 16
 _DIRECTIONS = 64
 _OPEN_COST = 10.0
+_FRONT_COST = 10.0
 
 
-def choose_seam(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray) -> np.ndarray:
+def choose_seam(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, front: np.ndarray) -> np.ndarray:
     """The half-edges, (3F,) bool, that open one connected surface into a disk.
 
     Args:
         points: (V, 3) float64.
         faces: (F, 3), connected; every vertex has one fan of triangles.
         opposite: its half-edges' opposites, of `atlas_mesh.opposites`.
+        front: (3,) unit vector; paths prefer what faces away from it.
     """
-    seam = _Seam(points, faces, opposite)
+    seam = _Seam(points, faces, opposite, front)
     loops = mesh.boundary_loops(faces, opposite)
     genus = (2 - len(loops) - mesh.euler_characteristic(faces, opposite)) // 2
     if loops:
@@ -50,6 +60,9 @@ def choose_seam(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray) -> 
         seam.extend([np.array([second]), np.array([third])])
     if genus:
         seam.open_handles()
+    area = mesh.doubled_areas(points[faces]).sum() / 2
+    while seam.perimeter < LEAST_PERIMETER * np.sqrt(4 * np.pi * area) and not seam.reached.all():
+        seam.extend([np.array([seam.farthest(np.nonzero(seam.reached)[0])])])
     for _ in range(_ROUNDS):
         tips = _squeezed_tips(points, faces, opposite, seam)
         if not tips:
@@ -61,7 +74,7 @@ def choose_seam(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray) -> 
 class _Seam:
     """A growing seam: its vertices, its half-edges, and shortest paths to it."""
 
-    def __init__(self, points: np.ndarray, faces: np.ndarray, opposite: np.ndarray) -> None:
+    def __init__(self, points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, front: np.ndarray) -> None:
         self._opposite = opposite
         self.cut = np.zeros(len(opposite), bool)
         self.reached = np.zeros(len(points), bool)
@@ -70,8 +83,11 @@ class _Seam:
         self._u, self._v = corners[self._h], corners[mesh.following(self._h)]
         length = np.linalg.norm(points[self._u] - points[self._v], axis=1)
         length = np.maximum(length, 1e-6 * length.mean())  # no free steps: paths would be ties
-        seen = openness(points, faces)
-        self._cost = length * (1 + _OPEN_COST * (seen[self._u] + seen[self._v]) / 2)
+        self.seen = openness(points, faces)
+        factor = 1 + _OPEN_COST * self.seen + _FRONT_COST * np.maximum(vertex_normals(points, faces) @ front, 0)
+        # Meshes are fine where it matters, in the face: a step costs more than its length.
+        self._cost = (length + length.mean()) * (factor[self._u] + factor[self._v]) / 2
+        self._length = length
         self._lengths, self._costs = self._graph(length), self._graph(self._cost)
         self._edge = {pair: i for i, pair in enumerate(zip(self._u.tolist(), self._v.tolist(), strict=True))}
 
@@ -86,6 +102,12 @@ class _Seam:
 
     def farthest(self, sources: np.ndarray) -> int:
         return int(np.argmax(self.distances(sources)))
+
+    @property
+    def perimeter(self) -> float:
+        """The length of the boundary once the seam is open: the seam counts on both sides."""
+        sides = 2.0 * self.cut[self._h] + (self._opposite[self._h] < 0)
+        return float(sides @ self._length)
 
     def start(self, vertices: np.ndarray) -> None:
         self.reached[vertices] = True
@@ -119,9 +141,7 @@ class _Seam:
 
     def _open(self, edge: int) -> None:
         h = self._h[edge]
-        self.cut[h] = True
-        if self._opposite[h] >= 0:
-            self.cut[self._opposite[h]] = True
+        self.cut[[h, self._opposite[h]]] = True
 
     def open_handles(self) -> None:
         """Adds the 2g loops of a tree-cotree decomposition: edges in neither tree, with their paths to the seam."""
@@ -154,7 +174,7 @@ def _squeezed_tips(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, 
     flat = harmonic_disk(points[source], split)
     found, true = mesh.doubled_areas(flat[split]), mesh.doubled_areas(points[faces])
     around = [np.bincount(faces.ravel(), np.repeat(a / a.sum(), 3), len(points)) for a in (found, true)]
-    squeezed = ~(around[0] > SQUEEZED * around[1]) & ~seam.reached
+    squeezed = ~(around[0] > SQUEEZED * around[1]) & ~seam.reached & (seam.seen > HIDDEN)
     u, v = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     inner = squeezed[u] & squeezed[v]
     count = len(points)
@@ -170,15 +190,16 @@ def _squeezed_tips(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, 
 
 
 def openness(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The share of 64 directions from which each vertex is seen, (V,) in [0, 1], by depth maps of the vertices.
+    """The share of 64 directions from which each vertex is seen, (V,) in [0, 0.5], by depth maps of samples of the surface.
 
-    An estimate: a vertex counts as hidden where another in its cell, two mean edges wide, is more than two cells nearer.
+    An estimate: a vertex counts as hidden where the surface in its cell, a mean edge wide, is more than a cell nearer.
+    Slanting views are lost by that: it gives about 0.3 on a ball.
     """
-    edges = points[faces] - points[np.roll(faces, -1, axis=1)]
-    cell = max(2 * float(np.linalg.norm(edges, axis=2).mean()), np.finfo(np.float64).tiny)
-    a, b, c = np.moveaxis(points[faces], 1, 0)
-    weighted = np.cross(b - a, c - a)
-    normals = np.stack([np.bincount(faces.ravel(), np.repeat(weighted[:, i], 3), len(points)) for i in range(3)], axis=1)
+    corners = points[faces]
+    middles = (corners + np.roll(corners, -1, axis=1)) / 2
+    samples = np.concatenate([points, middles.reshape(-1, 3), corners.mean(1)])
+    cell = 2 * float(np.linalg.norm(middles - corners, axis=2).mean())
+    normals = vertex_normals(points, faces)
     k = np.arange(_DIRECTIONS) + 0.5
     height, turn = 1 - 2 * k / _DIRECTIONS, k * np.pi * (1 + 5**0.5)  # Fibonacci's sphere
     ring = np.sqrt(1 - height**2)
@@ -186,12 +207,21 @@ def openness(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     for towards in np.stack([ring * np.cos(turn), height, ring * np.sin(turn)], axis=1):
         side = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
         side /= np.linalg.norm(side)
-        plane = points @ np.stack([side, np.cross(towards, side)], axis=1)
+        plane = samples @ np.stack([side, np.cross(towards, side)], axis=1)
         cells = ((plane - plane.min(0)) / cell).astype(np.int64)
-        at = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
-        depth = points @ towards
-        _, at = np.unique(at, return_inverse=True)
+        _, at = np.unique(cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True)
+        depth = samples @ towards
         nearest = np.full(at.max() + 1, -np.inf)
         np.maximum.at(nearest, at, depth)
-        seen += (normals @ towards > 0) & (depth > nearest[at] - 2 * cell)
+        count = len(points)
+        seen += (normals @ towards > 0) & (depth[:count] > nearest[at[:count]] - cell)
     return seen / _DIRECTIONS
+
+
+def vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit normals, (V, 3), of the triangles around each vertex by area; zero where they cancel out."""
+    a, b, c = np.moveaxis(points[faces], 1, 0)
+    doubled = np.cross(b - a, c - a)
+    sums = np.stack([np.bincount(faces.ravel(), np.repeat(doubled[:, i], 3), len(points)) for i in range(3)], axis=1)
+    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)
