@@ -20,8 +20,9 @@ from ndf_mi.compare.methods.smoothing import SmoothOffsets
 from ndf_mi.compare.methods.soundness import mend, unsound
 from ndf_mi.compare.methods.surface import TexturedSurface
 
-#: First steps of the offsets that are tried, metres.
-OFFSET_RATES = (1e-2, 3e-2, 1e-1)
+#: First steps of the offsets that are tried, metres of u. The sweep's few steps favour large ones; those above, which end worse
+#: after many steps, are not offered.
+OFFSET_RATES = (1e-2, 2e-2, 4e-2)
 #: Contour points a view.
 CONTOUR_SAMPLES = 4096
 #: Metres around the body that the images trained on show.
