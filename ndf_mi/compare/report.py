@@ -50,7 +50,7 @@ def write_report(
     """
     name = escape(capture.name)
     sections = [
-        f"<h1>Neural deformable field and textured mesh on “{name}”</h1>",
+        f"<h1>Neural deformable field and textured meshes on “{name}”</h1>",
         f'<p class="soft">{_lead(results)}</p>',
         _cards(results),
         "<h2>Figures</h2>",

@@ -99,7 +99,11 @@ def mesh_note(method: MethodResult) -> str:
     if facts["budget"] is None:
         end = "until its loss stopped falling" if facts["converged"] else "until the limit of steps"
         how = f"{how}, {end}"
-    return f"{method.label}: {how}, {facts['steps']} steps, learning rate {facts['rate']:g}."
+    text = f"{method.label}: {how}, {facts['steps']} steps, learning rate {facts['rate']:g}"
+    if "offset_rate" in facts:
+        text += (f", offsets' first step {facts['offset_rate']:g} m; offsets of {facts['offset_median_mm']:.0f} mm in the median, "
+                 f"{facts['offset_max_mm']:.0f} mm at most")
+    return text + "."
 
 
 def lower(label: str) -> str:

@@ -20,8 +20,8 @@ from ndf_mi.compare.methods.smoothing import SmoothOffsets
 from ndf_mi.compare.methods.soundness import mend, unsound
 from ndf_mi.compare.methods.surface import TexturedSurface
 
-#: First steps of the offsets that are tried, metres of u. The sweep's few steps favour large ones; those above, which end worse
-#: after many steps, are not offered.
+#: First steps of the offsets that are tried, metres. The sweep's few steps favour large ones: of 1e-1, which it would take, a training
+#: of 280 steps on the capture `quick` ended 0.7 dB behind one of 3e-2, on training and held-out views alike.
 OFFSET_RATES = (1e-2, 2e-2, 4e-2)
 #: Contour points a view.
 CONTOUR_SAMPLES = 4096
