@@ -46,7 +46,7 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
     if options.atlas == "one-piece":
         from ndf_mi.body.atlas import with_one_piece
 
-        body = with_one_piece(body, capture.poses.vertices[0])
+        body = with_one_piece(body, capture.poses.vertices[0] if body.template is None else None)
     run = Run.create(
         folder, preset, body, capture.poses, options.seed,
         background=[float(v) for v in capture.background],
