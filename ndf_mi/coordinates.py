@@ -34,7 +34,7 @@ class Distance:
         if self._kind == "unsigned":
             return dr.abs(l) * self._scale
         if self._kind == "none":
-            return dr.full(mi.Float, self._inside * self._scale, dr.width(l))
+            return l * 0.0 + self._inside * self._scale
         return dr.fma(l, self._scale, self._inside * self._scale)
 
 

@@ -26,6 +26,9 @@ AIMS = {f"{side}{bone}": f"{side}{tip}" for side in ("Left", "Right") for bone, 
 differs from an A-pose. Trunk, head and clavicles are not: there, the two skeletons place their joints differently
 inside bodies that stand alike. Feet and fingers follow the bone above them."""
 
+MOST_FRAMES = 200_000
+"""Frames of the longest motion, near two hours at 30 a second: more is a mistake in a file's times."""
+
 Place = Literal["world", "centre", "treadmill"]
 
 
@@ -134,7 +137,14 @@ def pose_sequence(
 
 
 def frame_times(duration: float, fps: float) -> np.ndarray:
-    """(T,): the seconds at which frames fall into a motion of ``duration`` seconds, the first at 0."""
+    """(T,): the seconds at which frames fall into a motion of ``duration`` seconds, the first at 0.
+
+    Raises:
+        InputError: there would be more than `MOST_FRAMES`.
+    """
+    if not duration * fps < MOST_FRAMES:
+        raise InputError("motion", f"{duration:g} s at {fps:g} frames a second", f"at most {MOST_FRAMES:,} frames",
+                         "See to the times in the file, or give a smaller --fps.")
     return np.minimum(np.arange(int(np.floor(duration * fps + 1e-3)) + 1) / fps, duration)
 
 

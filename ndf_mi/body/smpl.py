@@ -107,6 +107,8 @@ def _read(path: Path) -> dict[str, Any]:
 def _dense(path: Path, key: str, found: dict[str, Any], shape: tuple[int | None, ...]) -> np.ndarray:
     """The array as float64, checked."""
     value = found[key]
+    if sparse.issparse(value):
+        arrays.check_shape(f"{path}: {key}", value, shape)
     array = value.toarray() if sparse.issparse(value) else np.asarray(value)
     arrays.floats(f"{path}: {key}", array, shape)
     return array.astype(np.float64)

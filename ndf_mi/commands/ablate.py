@@ -10,6 +10,8 @@ from typing import Annotated
 
 import tyro
 
+from ndf_mi.errors import InputError
+
 
 @dataclass
 class Ablate:
@@ -57,6 +59,8 @@ class Ablate:
         from ndf_mi.learn.ablations import ABLATIONS
         from ndf_mi.learn.options import TrainingOptions
 
+        if self.seconds is not None and not self.seconds > 0:
+            raise InputError("--seconds", f"{self.seconds:g}", "a time above 0")
         options = TrainingOptions.paper() if self.preset == "paper" else TrainingOptions()
         changes: dict[str, float] = {"seed": self.seed}
         if self.seconds is not None:

@@ -76,6 +76,8 @@ class Optimise:
         from ndf_mi.learn.ablations import ablation
         from ndf_mi.learn.options import TrainingOptions
 
+        if self.seconds is not None and not self.seconds > 0:
+            raise InputError("--seconds", f"{self.seconds:g}", "a time above 0")
         training = TrainingOptions.paper() if self.preset == "paper" else TrainingOptions()
         base, training = ablation(self.ablation).apply(preset(self.preset), training)
         architecture = {f.name for f in dataclasses.fields(base)} - {"name"}

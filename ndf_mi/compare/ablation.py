@@ -77,8 +77,12 @@ class Study:
             if (self.folder / name / "config.json").exists():
                 self._expect(name, Run.load(self.folder / name))
         known = Results.read(self.folder / RESULTS) if (self.folder / RESULTS).exists() else Results()
-        # A variant measured before and not asked for now stays in the table; the table is in the order of `ABLATIONS`.
-        self.results = Results(self._about(command, preset, options), known.methods)
+        # Images measured before are of use whatever is asked for now. Rows are kept only where they were measured alike.
+        self._known = {method.key: method for method in known.methods}
+        about = self._about(command, preset, options)
+        alike = all(known.about.get(key) == about[key] for key in ("settings", "preset", "training"))
+        kept = [m for m in known.methods if alike and m.key in ABLATIONS and self._has_pictures(m)]
+        self.results = Results(about, kept)
 
     def run(self, training: Callable[[str, int, int], None], measured: Callable[[str, int, int], None]) -> Results:
         """Trains and measures variant after variant; table and report are written after each.
@@ -95,10 +99,10 @@ class Study:
             run = self._trained(name, lambda: training(name, number, len(self.names)))  # noqa: B023
             method = NeuralField(run, self._settings.samples)
             result = MethodResult(name, ablation(name).title, method.fingerprint(), method.facts())
-            known = self.results.method(name)
+            known = self._known.get(name)
             if known is not None and known.fingerprint == result.fingerprint:
                 result.images = known.images
-            others = [other for other in self.results.methods if other.key != name and other.key in ABLATIONS]
+            others = [other for other in self.results.methods if other.key != name]
             self.results.methods = sorted([*others, result], key=lambda method: list(ABLATIONS).index(method.key))
 
             def done() -> None:
@@ -121,13 +125,15 @@ class Study:
             trainer = None
         if trainer is None:
             # A run without a training state was stopped before its first checkpoint: nothing of it is worth keeping.
-            (folder / "config.json").unlink(missing_ok=True)
-            for file in ("metrics.jsonl", *(file.name for file in folder.glob("events.*"))):
-                (folder / file).unlink(missing_ok=True)
+            for file in (folder / "config.json", folder / "metrics.jsonl", *folder.glob("events.*")):
+                file.unlink(missing_ok=True)
             trainer = start(folder, self._capture, *self._wanted[name])
         begin()
         train(trainer)
         return trainer.run
+
+    def _has_pictures(self, method: MethodResult) -> bool:
+        return all((self.folder / PICTURES / method.key / image.view.file).is_file() for image in method.images)
 
     def _expect(self, name: str, run: Run) -> None:
         """Raises InputError unless the run is of the options that are asked for."""

@@ -20,6 +20,8 @@ from ndf_mi.compare.results import Flicker, FrameSequence, Results
 
 #: Pairs of frames in a strip.
 PAIRS = 5
+#: Millimetres that the body moves from frame to frame, above which changes are of motion first: what walking is at 30 frames a second.
+SMOOTH = 50
 NOTE = (
     "Temporal PSNR is the PSNR of the change from one frame to the next, in one camera, over the boxes of both: an error that stays "
     "counts nothing, one that comes and goes does, and so does standing still while the performer moves. Errors that are independent "
@@ -47,7 +49,7 @@ def flicker_section(results: Results, capture: Capture, pictures: Path) -> str:
     parts.append(scale_bar("Strips: mean |change| and |error of the change| of the sRGB channels", top))
     for flicker, strip in zip(known, strips, strict=True):
         parts.append(f"<h3>{SPLIT_LABELS[flicker.sequence.split].capitalize()}</h3>")
-        parts.append(f'<p class="soft">{escape(_describe(flicker))}</p>')
+        parts.append(f'<p class="soft">{escape(_describe(flicker, capture))}</p>')
         parts.append(_strip(results, flicker, strip, top))
     return "\n".join(parts)
 
@@ -64,13 +66,16 @@ def _charts(results: Results, known: list[Flicker]) -> str:
     return f'<div class="charts">{"".join(charts)}</div>'
 
 
-def _describe(flicker: Flicker) -> str:
+def _describe(flicker: Flicker, capture: Capture) -> str:
     sequence = flicker.sequence
-    apart = "none left out" if sequence.spacing == 1 else f"{sequence.spacing:.3g} apart on average"
-    text = f"Camera {sequence.camera}, {len(sequence.frames)} frames from {sequence.frames[0]} to {sequence.frames[-1]}, {apart}. "
+    rows = [capture.poses.index(frame) for frame in sequence.frames]
+    moved = 1000 * float(np.median(np.linalg.norm(np.diff(capture.poses.vertices[rows], axis=0), axis=-1)))
     still = tables.figure(metrics.TEMPORAL, metrics.average(flicker.frozen))
-    text += f"A picture that stood still would have {still} dB."
-    if sequence.spacing > 1:
+    text = (
+        f"Camera {sequence.camera}, {len(sequence.frames)} frames from {sequence.frames[0]} to {sequence.frames[-1]}, from one to the next "
+        f"of which the body moves {moved:.0f} mm in the median. A picture that stood still would have {still} dB."
+    )
+    if moved > SMOOTH:
         text += " Frames that far apart say more of motion than of flicker."
     return text
 

@@ -39,10 +39,11 @@ _NAKED = {"distance": "none", "band": 0.005, "band_inside": 0.005, "band_fade": 
 ABLATIONS: dict[str, Ablation] = {
     "full": Ablation("full model", "nothing is taken away"),
     "naked": Ablation("naked model", "l = 0: density and colour live on the body's surface alone", _NAKED, {"edge_weight": 0.0}),
-    "no-pose": Ablation("without pose", "no network sees the pose: one field for all frames", {"pose_layers": ()}),
+    "no-pose": Ablation("without pose", "the pose vector reaches no network: one field for all frames, but for light on the turning normal",
+                        {"pose_layers": ()}),
     "no-projection": Ablation(
         "without projection", "(x, y, z) in place of (u, v, l); nothing of the closest point reaches a network",
-        {"coordinates": "world", "normal_octaves": -1},
+        {"coordinates": "world", "normal_octaves": -1}, {"pose_noise": 0.0},
     ),
     "no-deform": Ablation("without deformation", "no deformation net between projection and field", {"deformation_layers": ()}),
     "one-piece": Ablation("one-piece atlas", "the body is cut open into one chart of texture coordinates", training={"atlas": "one-piece"}),

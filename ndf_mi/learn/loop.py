@@ -39,7 +39,8 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
     folder = Path(path)
     # A run that was stopped while it was first written has no config.json yet.
     unfinished = {"body.npz", "poses.npz", "field.safetensors"}
-    if folder.exists() and (not folder.is_dir() or {file.name for file in folder.iterdir()} - unfinished):
+    if folder.exists() and (not folder.is_dir()
+                            or {file.name for file in folder.iterdir() if not _temporary(file)} - unfinished):
         raise InputError(folder, "something there already", "a new or empty folder",
                          "Go on with what is there by --resume, or take another folder.")
     body = capture.body
@@ -58,6 +59,11 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
     trainer = Trainer(run, capture, options)
     run.save()
     return trainer
+
+
+def _temporary(file: Path) -> bool:
+    """Whether a file is one that was being written beside its place when the process was killed."""
+    return file.name.startswith(".") and file.suffix in (".npz", ".json", ".safetensors")
 
 
 def resume(path: str | os.PathLike[str], capture: Capture) -> Trainer:

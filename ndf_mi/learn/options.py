@@ -97,7 +97,8 @@ class TrainingOptions:
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "training") -> TrainingOptions:
         """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
-        return read_options(cls(), values, where)
+        # Trainings written down before there was noise on the pose were made without.
+        return read_options(cls(), {"pose_noise": 0.0, **values}, where)
 
     @classmethod
     def paper(cls) -> TrainingOptions:

@@ -6,7 +6,7 @@ import pytest
 
 from ndf_mi.commands import main
 from ndf_mi.compare.ablation import RESULTS, Settings, Study
-from ndf_mi.compare.ablation_report import PAPER, agreement, markdown
+from ndf_mi.compare.ablation_report import PAPER, agreement, markdown, order
 from ndf_mi.compare.results import Measured, MethodResult, Results, View
 from ndf_mi.errors import InputError
 from ndf_mi.field import preset
@@ -53,6 +53,15 @@ def test_a_stopped_training_is_resumed_and_an_unstarted_one_begun_anew(capture, 
         study(capture, tmp_path, ("no-pose",))
 
 
+def test_rows_measured_otherwise_are_not_kept_beside_new_ones(capture, tmp_path):
+    study(capture, tmp_path, ("no-pose",)).run(lambda *_: None, lambda *_: None)
+    fewer = Study(capture.path, tmp_path, (), preset("tiny"), OPTIONS, Settings(max_images=1, sequence=0, samples=32), "…")
+    assert [method.key for method in fewer.run(lambda *_: pytest.fail("trained again"), lambda *_: None).methods] == ["full"]
+    # The images of the row left out are still there, and it comes back without being trained.
+    again = study(capture, tmp_path, ("no-pose",)).run(lambda *_: pytest.fail("trained again"), lambda *_: None)
+    assert [method.key for method in again.methods] == ["full", "no-pose"]
+
+
 def test_other_options_are_refused_by_name(capture, tmp_path):
     study(capture, tmp_path, ()).run(lambda *_: None, lambda *_: None)
     with pytest.raises(InputError, match="rays = 128"):
@@ -72,6 +81,8 @@ def test_agreement_is_of_directions():
     assert not agreement(results, "naked", "novel_pose").agrees
     # The paper has 0.03 and 0.06 dB between them, which is level.
     assert agreement(results, "no-deform", "novel_view").agrees and not agreement(results, "no-deform", "novel_pose").agrees
+    # The paper tells naked apart from the two others, which are level; here it is behind them, and on novel poses ahead.
+    assert order(results, "novel_view") == (2, 2) and order(results, "novel_pose") == (0, 2)
     # The paper has no such row.
     assert agreement(results, "unsigned", "novel_view") is None and agreement(results, "full", "novel_view") is None
     assert set(PAPER) == {"full", "naked", "no-pose", "no-projection", "no-deform", "one-piece"}

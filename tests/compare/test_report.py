@@ -173,7 +173,7 @@ def test_report_is_one_valid_file_with_the_pictures(results, capture, folder, tm
         assert picture.format == "PNG" and min(picture.size) > 10
     assert text.count("<svg") == 2 + 2
     assert "means over 2 images, of tPSNR over 1 pair of frames" in page.text and "frames 2 to 5" not in page.text
-    assert "Camera n0, 2 frames from 2 to 5, 3 apart on average." in page.text
+    assert "Camera n0, 2 frames from 2 to 5, from one to the next of which the body moves" in page.text
     for expected in ("40.00", "20.00", "∞", "NDF − Mesh, equal time", "+20.00", "runs/a<b", "12 s", "1 min 01 s"):
         assert expected in page.text, expected
 

@@ -191,6 +191,7 @@ def _check_free(out: Path) -> None:
 @contextmanager
 def _staged(out: Path) -> Iterator[Path]:
     """A hidden folder beside ``out`` that takes its place if the block succeeds, and else is removed."""
+    out = out.resolve()
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         stage = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
