@@ -1,0 +1,220 @@
+"""What ray segments see of several fields at once: the paper's emission and absorption, ended by surfaces and taken jointly where fields
+overlap.
+
+Along a segment of length t_s, with the extinctions σ_k and colours c_k of fields k,
+
+    L = ∫_0^{t_s} T(t) Σ_k σ_k(t) c_k(t) dt,    T(t) = exp(−∫_0^t Σ_k σ_k(s) ds)
+
+Every field is taken as constant in each of its strata, which lie as in :func:`ndf_mi.render.quadrature.quadrature`. The optical depth of a
+field is then piecewise linear along the ray, and may be read off at the strata's ends of another: so fields need not share strata.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import drjit as dr
+import mitsuba as mi
+
+from ndf_mi.numerics import expm1
+from ndf_mi.render.quadrature import VolumeField, Workspace
+from ndf_mi.render.sampling import box_interval, stratified
+
+TILE = 4096
+"""Rays integrated at once. All tiles have this many, so that one set of kernels and sizes serves camera rays, later bounces and shadow
+rays alike; it bounds the candidates' memory, at about 50 bytes each."""
+
+
+@dataclass
+class Performer:
+    """A field in a scene: `volume`, and `scale`, a factor on its density."""
+
+    volume: VolumeField
+    scale: float = 1.0
+
+
+@dataclass
+class Crossing:
+    """What N segments see of all fields.
+
+    Attributes:
+        colour: L, linear radiance reaching the segments' origins.
+        transmittance: from the segments' ends to their origins.
+        depth: Σ_i w_i t_i, the expected distance times the opacity, in metres.
+    """
+
+    colour: mi.Color3f
+    transmittance: mi.Float
+    depth: mi.Float
+
+
+@dataclass
+class _Strata:
+    """One field along N rays: S strata a ray, N·S values beside one another.
+
+    `near` (N) and `width` (N) place them; `t` is where in each the field was evaluated; `tau` the strata's optical depths, `before` the
+    field's optical depth ahead of each within its ray; `colour` 0 where nothing was evaluated.
+    """
+
+    count: int
+    near: mi.Float
+    width: mi.Float
+    t: mi.Float
+    tau: mi.Float
+    before: mi.Float
+    colour: list[mi.Float]
+
+    def optical_depth(self, ray: mi.UInt32, t: mi.Float) -> mi.Float:
+        """From the origin of each ray to the distance t; linear within a stratum, constant before the first and behind the last."""
+        width = dr.gather(mi.Float, self.width, ray)
+        place = dr.clip((t - dr.gather(mi.Float, self.near, ray)) / dr.maximum(width, 1e-20), 0.0, float(self.count))
+        stratum = dr.minimum(mi.UInt32(place), self.count - 1)
+        part = place - mi.Float(stratum)
+        index = ray * self.count + stratum
+        return dr.fma(part, dr.gather(mi.Float, self.tau, index), dr.gather(mi.Float, self.before, index))
+
+
+@dataclass
+class Transport:
+    """Integrates fields along segments; keeps kernels and sizes from call to call.
+
+    Args:
+        samples: candidate samples a segment and field (times the field's own `strata`).
+        tile: rays at once.
+
+    Attributes:
+        evaluated: samples that reached a network since the object was made.
+    """
+
+    samples: int
+    tile: int = TILE
+    workspace: Workspace = field(default_factory=Workspace)
+    evaluated: int = 0
+
+    def __call__(
+        self, performers: Sequence[Performer], ray: mi.Ray3f, active: mi.Bool | bool = True, jitter: mi.Float | None = None
+    ) -> Crossing:
+        """What the segments ``[0, ray.maxt]`` of N rays (evaluated; directions of unit length) see.
+
+        Only rays that cross the box of a field are integrated: the others cost one test of each box. Differentiable, by plain automatic
+        differentiation, in whatever the fields' `evaluate` is; not in the rays. Segments that are not active get no light and
+        transmittance 1.
+
+        Args:
+            performers: the fields; each is to be there once.
+            jitter: N numbers in [0, 1): where in its stratum every sample of a ray lies; None for the middle.
+        """
+        width = dr.width(ray.d)
+        with dr.suspend_grad():
+            active = mi.Bool(active) & dr.full(mi.Bool, True, width)
+            crossed = [box_interval(performer.volume.bbox, ray)[0] & active for performer in performers]
+            number = sum((dr.select(hit, mi.UInt32(1), 0) for hit in crossed), start=dr.zeros(mi.UInt32, width))
+            # Most rays cross one box: only those that cross several pay for all the fields.
+            groups = [([performer], hit & (number == 1)) for performer, hit in zip(performers, crossed, strict=True)]
+            if len(performers) > 1:
+                groups.append((list(performers), number > 1))
+            dr.eval([mask for _, mask in groups])
+        indices, reals, rows = [], [], []
+        for group, mask in groups:
+            chosen = dr.compress(mask)
+            count = dr.width(chosen)
+            for first in range(0, count, self.tile):
+                lane = dr.arange(mi.UInt32, self.tile) + dr.opaque(mi.UInt32, first)
+                real = lane < dr.opaque(mi.UInt32, count)
+                index = dr.gather(mi.UInt32, chosen, lane, real)
+                dr.eval(index, real)
+                indices.append(index)
+                reals.append(real)
+                rows.append(self._tile(group, ray, index, real, jitter))
+        if not rows:
+            return Crossing(mi.Color3f(dr.zeros(mi.Float, width)), dr.full(mi.Float, 1.0, width), dr.zeros(mi.Float, width))
+        index, real = _join(indices), _join(reals)
+        tau, depth, *colour = [_spread(_join(list(row)), index, real, width) for row in zip(*rows, strict=True)]
+        return Crossing(mi.Color3f(*colour), dr.exp(-tau), depth)
+
+    def _tile(
+        self, performers: list[Performer], ray: mi.Ray3f, index: mi.UInt32, real: mi.Bool, jitter: mi.Float | None
+    ) -> list[mi.Float]:
+        """Optical depth, expected distance and the three colours of the chosen rays."""
+        with dr.suspend_grad():
+            part = mi.Ray3f(dr.gather(mi.Point3f, ray.o, index), dr.gather(mi.Vector3f, ray.d, index))
+            part.maxt = dr.gather(mi.Float, ray.maxt, index)
+            jitter = None if jitter is None else dr.gather(mi.Float, jitter, index)
+        strata = [self._strata(performer, part, real, jitter) for performer in performers]
+        rows = [dr.zeros(mi.Float, dr.width(index)) for _ in range(5)]
+        for one in strata:
+            weight = _weights(one, [other for other in strata if other is not one])
+            for place, value in enumerate((one.tau, weight * one.t, *(weight * c for c in one.colour))):
+                rows[place] += dr.block_sum(value, one.count)
+        dr.eval(rows)
+        return rows
+
+    def _strata(self, performer: Performer, ray: mi.Ray3f, real: mi.Bool, jitter: mi.Float | None) -> _Strata:
+        """Evaluates a field in the strata of every ray, where it may be anything but empty; the steps of `quadrature`."""
+        volume = performer.volume
+        rays = dr.width(ray.d)
+        samples = self.samples * volume.strata
+        lanes = rays * samples
+        with dr.suspend_grad():
+            hit, near, far = box_interval(volume.bbox, ray)
+            t, delta = stratified(near, far, samples, None if jitter is None else dr.repeat(jitter, samples))
+            parent = dr.arange(mi.UInt32, lanes) // samples
+            x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * t)
+            candidate = dr.gather(mi.Bool, hit & real, parent) & volume.near(x)
+            width = (far - near) / samples
+            dr.eval(candidate, t, delta, near, width)
+            first, kept, _ = self.workspace.near(candidate)
+            parent = first // samples
+            x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * dr.gather(mi.Float, t, first))
+            handle, inside = volume.locate(x, kept)
+            inside &= kept
+            dr.eval(handle, inside)
+            second, kept, evaluated = self.workspace.inside(inside)
+            self.evaluated += evaluated
+            index = dr.gather(mi.UInt32, first, second)
+            handle = dr.gather(type(handle), handle, second)
+            dr.eval(index, handle, kept)
+            parent = index // samples
+            o, d = dr.gather(mi.Point3f, ray.o, parent), dr.gather(mi.Vector3f, ray.d, parent)
+            x = mi.Point3f(o + d * dr.gather(mi.Float, t, index))
+        sample = volume.evaluate(x, d, handle, kept)
+        sigma = sample.sigma if sample.weight is None else sample.sigma * sample.weight
+        if performer.scale != 1.0:
+            sigma = sigma * dr.opaque(mi.Float, performer.scale)
+        tau = _spread(sigma, index, kept, lanes) * delta
+        colour = [_spread(c, index, kept, lanes) for c in sample.colour]
+        return _Strata(samples, near, width, t, tau, dr.block_prefix_sum(tau, samples, exclusive=True), colour)
+
+
+def _weights(one: _Strata, others: list[_Strata]) -> mi.Float:
+    """w_i = ∫ over stratum i of T(t) σ_i dt, the share of the stratum's colour that reaches the origin.
+
+    With the optical depth of the others growing by Δ within the stratum, evenly, that is
+    exp(−τ(a_i)) · τ_i · (1 − exp(−(τ_i + Δ))) / (τ_i + Δ), where τ(a_i) is everything ahead of the stratum.
+    """
+    if not others:
+        return dr.exp(-one.before) * -expm1(-one.tau)
+    lane = dr.arange(mi.UInt32, dr.width(one.tau))
+    ray = lane // one.count
+    stratum = mi.Float(lane - ray * one.count)
+    width = dr.gather(mi.Float, one.width, ray)
+    start = dr.fma(stratum, width, dr.gather(mi.Float, one.near, ray))
+    ahead = one.before
+    total = one.tau
+    for other in others:
+        begin = other.optical_depth(ray, start)
+        ahead = ahead + begin
+        # Rounding must not make an empty stretch negative.
+        total = total + dr.maximum(other.optical_depth(ray, start + width) - begin, 0.0)
+    return dr.exp(-ahead) * -expm1(-total) * (one.tau / dr.maximum(total, 1e-20))
+
+
+def _join(parts: list[mi.Float]) -> mi.Float:
+    return parts[0] if len(parts) == 1 else dr.concat(parts)
+
+
+def _spread(value: mi.Float, index: mi.UInt32, active: mi.Bool, width: int) -> mi.Float:
+    target = dr.zeros(mi.Float, width)
+    dr.scatter(target, value, index, active, mode=dr.ReduceMode.Permute)
+    return target

@@ -1,0 +1,333 @@
+"""The integrator plugin ``ndf_path``."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ndf_mi.errors import InputError
+from ndf_mi.render.transport import Crossing, Performer, Transport
+from ndf_mi.render.transport_scene import performers
+from ndf_mi.render.transport_surfaces import next_surface, occluded
+
+PATHS_AT_ONCE = 1 << 18
+"""Paths of one pass, if the film has no more pixels: what bounds memory, at about 1 kB a path."""
+
+CHANNELS = {"depth": "depth.T", "opacity": "opacity.A"}
+"""What can be asked for beside radiance, and the names of its channels."""
+
+
+@dataclass
+class Origin:
+    """Where a ray was scattered: what weighting an emitter that it meets against sampling that emitter needs.
+
+    `point` the place, `pdf` (per solid angle) of the ray's direction, `delta` whether no other direction could have been sampled.
+    """
+
+    point: mi.Interaction3f
+    pdf: mi.Float
+    delta: mi.Bool
+
+
+@dataclass
+class Vertex:
+    """What happens to N paths at the surfaces they met, or in the environment; detached.
+
+    Attributes:
+        emitted: radiance of the emitter met, weighted against sampling it from the origin of the ray.
+        lit: radiance of a sampled emitter that is scattered back along the path, so weighted too; 0 where a surface is in between.
+        shadow: the segment to that emitter.
+        onward: the ray on which the path goes on, `weight` its throughput, `eta` the relative refractive index crossed.
+        scattered: a surface was met, and not merely passed.
+        active: the path may go on.
+        origin: of the ray onward.
+    """
+
+    emitted: mi.Color3f
+    lit: mi.Color3f
+    shadow: mi.Ray3f
+    onward: mi.Ray3f
+    weight: mi.Color3f
+    eta: mi.Float
+    scattered: mi.Bool
+    active: mi.Bool
+    origin: Origin
+
+
+def register() -> None:
+    """Defines and registers the plugin for the active variant."""
+    from mitsuba.ad.integrators.common import ADIntegrator, mis_weight
+
+    class NDFPath(ADIntegrator):
+        r"""
+        .. _integrator-ndf_path:
+
+        Path tracing around performers (:monosp:`ndf_path`)
+        ----------------------------------------------------
+
+        Neural deformable fields emit and absorb, by the paper's equation, as under ``ndf_quadrature``; surfaces and emitters of any kind
+        are path traced. Performers are seen in mirrors and through glass, stand before and behind other things, throw
+        shadows and shine on what is around them.
+
+        .. pluginparameters::
+
+         * - max_depth
+           - |int|
+           - Longest path in segments: 1 shows emitters and performers themselves, 2 adds light scattered once by surfaces; -1 is no limit.
+             (Default: 6)
+         * - rr_depth
+           - |int|
+           - Segments after which Russian roulette begins. (Default: 5)
+         * - samples
+           - |int|
+           - Candidate samples a performer and segment, spread evenly over the segment's part in the body's padded box. (Default: 128)
+         * - stratified
+           - |bool|
+           - Shift each segment's samples by a random part of their distance, drawn from the sampler. (Default: false)
+         * - hide_emitters
+           - |bool|
+           - Hide emitters that are seen directly. (Default: false)
+         * - aovs
+           - |string|
+           - What else to output, separated by commas: depth (distance along the ray to the performers), opacity (of the performers before
+             the first surface). (Default: none)
+
+        - Any number of performers: ``ndf`` media in shapes whose BSDF is ``null``. Where performers overlap, they absorb and emit together.
+        - Without a performer it is Mitsuba's ``path``, and before nothing but an environment, ``ndf_quadrature``.
+        - Performers do not scatter light: what falls on them is not seen on them, but missing behind them.
+        - Performers are not sampled as emitters: surfaces find their light by sampling the BSDF.
+        - Shapes with BSDF ``null`` are passed through and do not count as a segment's end, nor do they block shadow rays.
+        - Other media are refused.
+        - Differentiable in what ``ndf`` media expose, by plain automatic differentiation; other parameters with gradients are refused.
+
+        .. tabs::
+            .. code-tab:: xml
+
+                <integrator type="ndf_path">
+                    <integer name="max_depth" value="6"/>
+                    <integer name="samples" value="128"/>
+                </integrator>
+        """
+
+        def __init__(self, props: mi.Properties) -> None:
+            depth, roulette = int(props.get("max_depth", 6)), int(props.get("rr_depth", 5))
+            if depth != -1 and depth < 1:
+                raise InputError("ndf_path: max_depth", str(depth), "a whole number above 0, or -1 for no limit")
+            if roulette < 1:
+                raise InputError("ndf_path: rr_depth", str(roulette), "a whole number above 0")
+            super().__init__(props)
+            samples = int(props.get("samples", 128))
+            if samples < 1:
+                raise InputError("ndf_path: samples", str(samples), "a whole number above 0")
+            self.stratified = bool(props.get("stratified", False))
+            self.aovs = [name.strip() for name in str(props.get("aovs", "")).split(",") if name.strip()]
+            for name in self.aovs:
+                if name not in CHANNELS:
+                    raise InputError("ndf_path: aovs", repr(name), ", ".join(CHANNELS))
+            self.transport = Transport(samples)
+
+        def aov_names(self) -> list[str]:
+            return [CHANNELS[name] for name in self.aovs]
+
+        def sample(
+            self, mode: dr.ADMode, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool = True, **_: Any
+        ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
+            fields = performers(scene, "ndf_path")
+            if mode != dr.ADMode.Primal:
+                _check_gradients(scene, ray)
+            width = dr.width(ray.d)
+            ray = _wide(ray, width)
+            active = mi.Bool(active) & dr.full(mi.Bool, True, width)
+            L = mi.Color3f(dr.zeros(mi.Float, width))
+            β = mi.Color3f(dr.full(mi.Float, 1.0, width))
+            η = dr.full(mi.Float, 1.0, width)
+            origin = Origin(dr.zeros(mi.Interaction3f, width), dr.full(mi.Float, 1.0, width), dr.full(mi.Bool, True, width))
+            scattered = dr.full(mi.Bool, False, width)
+            opacity, aovs = dr.zeros(mi.Float, width), [dr.zeros(mi.Float, width) for _ in self.aovs]
+            # Literals would give the first segment kernels of its own.
+            dr.make_opaque(active, L, β, η, origin, scattered)
+
+            for depth in itertools.count():
+                # Through the performers, up to the next surface or out of the scene.
+                skip = self.hide_emitters and depth == 0
+                found = next_surface(scene, ray, active, skip_emitters=skip)
+                segment = mi.Ray3f(ray)
+                segment.maxt = dr.select(found.is_valid(), found.t, ray.maxt)
+                crossing = self._cross(fields, segment, active, sampler, found)
+                if crossing is not None:
+                    L += β * crossing.colour
+                    β *= crossing.transmittance
+                    if depth == 0:
+                        opacity, aovs = 1.0 - crossing.transmittance, self._aov_values(crossing)
+
+                # What the surface emits, what it scatters of a sampled emitter's light, and where the path goes on.
+                last = depth + 1 == self.max_depth
+                with dr.suspend_grad():
+                    environment = scattered | (not self.hide_emitters)
+                    vertex = self._vertex(scene, sampler, ray, found, origin, active, environment, last)
+                    sampler.schedule_state()
+                    dr.eval(vertex)
+                L += β * vertex.emitted
+                scattered |= vertex.scattered
+                if last:
+                    break
+                crossing = self._cross(fields, vertex.shadow, dr.any(vertex.lit != 0.0), sampler)
+                L += β * (vertex.lit if crossing is None else vertex.lit * crossing.transmittance)
+                β *= vertex.weight
+                η *= vertex.eta
+                survival, active = self._roulette(dr.detach(β), η, sampler, vertex.active, depth + 1)
+                β *= survival
+                ray, origin = vertex.onward, vertex.origin
+                sampler.schedule_state()
+                dr.eval(L, β, η, scattered, active)
+                if not dr.any(active):
+                    break
+            behind = not self.hide_emitters and scene.environment() is not None
+            return mi.Spectrum(L), scattered | (dr.detach(opacity) > 0.5) | behind, aovs, None
+
+        def _cross(
+            self, fields: list[Performer], ray: mi.Ray3f, active: mi.Bool, sampler: mi.Sampler, *others: Any
+        ) -> Crossing | None:
+            """What the performers do along segments; None where there are none. Evaluates what is given, `others` too."""
+            jitter = sampler.next_1d() if self.stratified else None
+            if not fields:
+                return None
+            sampler.schedule_state()
+            dr.eval(ray, active, jitter, *others)
+            return self.transport(fields, ray, active, jitter)
+
+        def _vertex(
+            self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, found: mi.PreliminaryIntersection3f, origin: Origin,
+            active: mi.Bool, environment: mi.Bool, last: bool,
+        ) -> Vertex:
+            """Emission met, an emitter sampled and the BSDF sampled, as in Mitsuba's `path`; `environment` where that is to be seen."""
+            si = found.compute_surface_interaction(ray, +mi.RayFlags.All, active)
+
+            met = mi.DirectionSample3f(scene, si, origin.point)
+            pdf = scene.pdf_emitter_direction(origin.point, met, active & ~origin.delta)
+            emitted = met.emitter.eval(si, active & (origin.pdf > 0.0) & (environment | si.is_valid()))
+            emitted = mi.Color3f(emitted * dr.select(origin.delta, 1.0, mis_weight(origin.pdf, pdf)))
+
+            onward = active & si.is_valid() & (not last)
+            bsdf = si.bsdf(ray)
+            sampled = onward & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            ds, radiance = scene.sample_emitter_direction(si, sampler.next_2d(), False, sampled)
+            sampled &= ds.pdf != 0.0
+            value, pdf, bs, weight = bsdf.eval_pdf_sample(mi.BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(), sampler.next_2d(),
+                                                          onward)
+            lit = mi.Color3f(value * radiance * dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf)))
+            sampled &= dr.any(lit != 0.0)
+            shadow = si.spawn_ray_to(ds.p)
+            lit = dr.select(sampled & ~occluded(scene, shadow, sampled), lit, 0.0)
+            # The place given for an emitter at infinity is behind all shapes, but a performer may reach beyond the shape that carries it.
+            shadow.maxt = dr.select(mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite), dr.inf, shadow.maxt)
+
+            point = dr.zeros(mi.Interaction3f, dr.width(ray.d))
+            point.t, point.time, point.wavelengths, point.p, point.n = si.t, si.time, si.wavelengths, si.p, si.n
+            return Vertex(
+                emitted=emitted,
+                lit=lit,
+                shadow=shadow,
+                onward=si.spawn_ray(si.to_world(bs.wo)),
+                weight=mi.Color3f(weight),
+                eta=bs.eta,
+                scattered=active & si.is_valid() & ~mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null),
+                active=onward,
+                origin=Origin(point, bs.pdf, mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)),
+            )
+
+        def _roulette(
+            self, β: mi.Color3f, η: mi.Float, sampler: mi.Sampler, active: mi.Bool, depth: int
+        ) -> tuple[mi.Float, mi.Bool]:
+            """Ends paths at random by their throughput from `rr_depth` on; the factor on those that go on, and which do."""
+            largest = dr.max(β)
+            probability = dr.minimum(largest * dr.square(η), 0.95)
+            play = dr.opaque(mi.UInt32, depth) >= self.rr_depth
+            lives = ~play | (sampler.next_1d() < probability)
+            factor = dr.select(play, dr.rcp(dr.maximum(probability, 1e-20)), 1.0)
+            return factor, active & lives & (largest != 0.0)
+
+        def _aov_values(self, crossing: Crossing) -> list[mi.Float]:
+            opacity = 1.0 - crossing.transmittance
+            values = {"depth": crossing.depth * dr.rcp(dr.maximum(opacity, 1e-6)), "opacity": opacity}
+            return [values[name] for name in self.aovs]
+
+        def render(
+            self, scene: mi.Scene, sensor: int | mi.Sensor = 0, seed: int = 0, spp: int = 0, develop: bool = True, evaluate: bool = True
+        ) -> mi.TensorXf:
+            """Renders in passes of some of the samples a pixel each."""
+            if isinstance(sensor, int):
+                sensor = scene.sensors()[sensor]
+            film = sensor.film()
+            size = film.crop_size() + (2 * film.rfilter().border_size() if film.sample_border() else 0)
+            pixels = int(dr.prod(size))
+            sampler = sensor.sampler().clone()
+            if spp:
+                sampler.set_sample_count(spp)
+            spp = sampler.sample_count()
+            each = _divisor(spp, PATHS_AT_ONCE // pixels)
+            if each == spp:
+                return super().render(scene, sensor, seed, spp, develop, evaluate)
+            with dr.suspend_grad():
+                sampler.set_samples_per_wavefront(each)
+                sampler.seed(seed, pixels * each)
+                film.prepare(self.aov_names())
+                for _ in range(spp // each):
+                    ray, weight, position = self.sample_rays(scene, sensor, _Part(sampler, each))
+                    L, valid, aovs, _ = self.sample(dr.ADMode.Primal, scene, sampler, ray)
+                    block = film.create_block()
+                    block.set_coalesce(block.coalesce() and each >= 4)
+                    ADIntegrator._splat_to_block(block, film, position, value=L * weight, weight=1.0,
+                                                 alpha=dr.select(valid, mi.Float(1), mi.Float(0)), aovs=aovs,
+                                                 wavelengths=ray.wavelengths)
+                    film.put_block(block)
+                    sampler.advance()
+                    sampler.schedule_state()
+                    dr.eval(block.tensor())
+                return film.develop()
+
+        def to_string(self) -> str:
+            return (f"NDFPath[max_depth = {self.max_depth}, rr_depth = {self.rr_depth}, samples = {self.transport.samples}, "
+                    f"stratified = {self.stratified}, hide_emitters = {self.hide_emitters}, aovs = {self.aovs}]")
+
+    mi.register_integrator("ndf_path", lambda props: NDFPath(props))
+
+
+class _Part:
+    """A sampler whose wavefront holds `count` of its samples a pixel, as places in pixels are drawn from it."""
+
+    def __init__(self, sampler: mi.Sampler, count: int) -> None:
+        self.sample_count = lambda: count
+        self.next_1d, self.next_2d = sampler.next_1d, sampler.next_2d
+
+
+def _divisor(number: int, limit: int) -> int:
+    """The largest divisor of `number` that is no more than `limit`; 1 at least."""
+    return max((d for d in range(1, number + 1) if number % d == 0 and d <= limit), default=1)
+
+
+def _wide(ray: mi.Ray3f, width: int) -> mi.Ray3f:
+    """A ray in each lane, detached: what is the same in all would be a kernel's literal."""
+    wide = dr.zeros(mi.Ray3f, width)
+    wide.o += dr.detach(ray.o)
+    wide.d += dr.detach(ray.d)
+    wide.maxt = dr.minimum(dr.detach(ray.maxt), dr.full(mi.Float, dr.inf, width))
+    wide.time += dr.detach(ray.time)
+    wide.wavelengths = ray.wavelengths
+    dr.make_opaque(wide)
+    return wide
+
+
+def _check_gradients(scene: mi.Scene, ray: mi.Ray3f) -> None:
+    """Refuses to give gradients that would be zero for want of an implementation."""
+    expected = "gradients asked of an `ndf` medium's parameters alone"
+    if dr.grad_enabled(ray):
+        raise InputError("ndf_path", "gradients asked of the sensor's rays", expected)
+    params = mi.traverse(scene)
+    for key, value in params.items():
+        if dr.grad_enabled(value) and not hasattr(params.properties[key][2], "posed"):
+            raise InputError(f"ndf_path: {key}", "gradients asked of it", expected)
