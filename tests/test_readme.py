@@ -25,6 +25,6 @@ def test_python_runs_as_printed(make_run, tmp_path):
     assert (tmp_path / "performer.png").stat().st_size > 100
 
 
-@pytest.mark.parametrize("command", sorted(set(re.findall(r"ndf-mi ([a-z]+(?: (?:synthesise|check))?)", README))))
+@pytest.mark.parametrize("command", sorted(set(re.findall(r"ndf-mi ([a-z]+(?: (?:synthesise|check|import))?)", README))))
 def test_commands_exist(command):
     assert find(command.split()) is not None

@@ -25,7 +25,7 @@ class Capture:
         name: the capture's name.
         background: (3,) float32 sRGB of the pixels outside the masks.
         cameras: by name, pinhole: images and masks are resampled to these where the real ones have distortion.
-        splits: ``train``, ``novel_view`` and ``novel_pose``; one that the file lacks is empty.
+        splits: ``train``, ``novel_view``, ``novel_pose`` and ``sequence``; one that the file lacks is empty.
         body, poses: the fitted body.
         digest: SHA-256 of the description, the body and the poses, and of the names and sizes of the images and masks.
     """

@@ -18,7 +18,7 @@ from ndf_mi.errors import InputError
 FORMAT = "ndf-capture"
 VERSION = 1
 FILE_NAME = "capture.json"
-SPLITS = ("train", "novel_view", "novel_pose")
+SPLITS = ("train", "novel_view", "novel_pose", "sequence")
 IMAGE_PATTERN = "images/{camera}/{frame:06d}.png"
 MASK_PATTERN = "masks/{camera}/{frame:06d}.png"
 

@@ -19,14 +19,16 @@ from ndf_mi.compare.protocols import OURS, Protocol
 from ndf_mi.compare.results import FrameSequence, Measured, MethodResult, View
 from ndf_mi.errors import InputError
 
-SPLITS = ("novel_view", "novel_pose", "train")
-LABELS = {"novel_view": "novel views", "novel_pose": "novel poses", "train": "training views"}
+SPLITS = ("novel_view", "novel_pose", "sequence", "train")
+LABELS = {"novel_view": "novel views", "novel_pose": "novel poses", "sequence": "successive frames", "train": "training views"}
 #: Training images that are measured, beside the held-out ones, to show how far a method follows what it has seen.
 TRAINING_IMAGES = 4
 
 
 def choose_views(capture: Capture, max_images: int | None, seed: int = 0, protocol: Protocol = OURS) -> list[View]:
-    """The images to measure: of each held-out split all of the protocol's or `max_images`, drawn at random; a few training images.
+    """The images to measure: of novel views and poses all of the protocol's or `max_images`, drawn at random; a few training images.
+
+    The split `sequence` is not among them: all of its images are measured with the temporal consistency.
 
     A larger `max_images` draws the same images and more, so that what was measured stays of use. None takes the protocol's number.
 
@@ -38,6 +40,8 @@ def choose_views(capture: Capture, max_images: int | None, seed: int = 0, protoc
     chosen: list[View] = []
     for index, name in enumerate(SPLITS):
         split = capture.splits[name]
+        if name == "sequence":
+            continue
         if name != "train":
             split = replace(split, frames=protocol.frames(split))
         pairs = [View(name, camera, frame) for camera, frame in split]
@@ -75,7 +79,8 @@ def evaluate(
         sequences: what temporal consistency is measured on.
     """
     known = {image.view: image for image in result.images if (pictures / image.view.file).is_file()}
-    wanted, sampled = to_render(views, sequences), set(views)
+    wanted = to_render(views, sequences)
+    sampled = set(views) | {view for sequence in sequences if sequence.split == "sequence" for view in sequence.views}
 
     def there() -> list[Measured]:
         return [replace(known[view], sampled=view in sampled) for view in wanted if view in known]

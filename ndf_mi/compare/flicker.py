@@ -27,13 +27,15 @@ from ndf_mi.compare.results import Flicker, FrameSequence, View
 
 
 def choose_sequences(capture: Capture, count: int) -> list[FrameSequence]:
-    """One sequence of up to `count` successive frames of each split, in the split's first camera.
+    """One sequence of up to `count` successive frames in the split's first camera: of the split `sequence` where there is one, which is
+    made for it, otherwise of each split.
 
     Of all runs of that many successive frames it is the one whose frames are closest together, the first of these. A split of
     fewer than two frames has none, and none has where `count` is 0.
     """
     chosen = []
-    for name, split in capture.splits.items():
+    own = capture.splits["sequence"]
+    for name, split in {"sequence": own}.items() if len(own.frames) > 1 else capture.splits.items():
         frames = _closest_run(split, count)
         if len(frames) > 1 and split.cameras:
             chosen.append(FrameSequence(name, split.cameras[0], frames))

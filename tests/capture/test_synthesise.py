@@ -71,6 +71,12 @@ def test_the_capture_is_sound_and_holds_the_images_of_its_splits_alone(tiny: Pat
     assert len(train.cameras) == 2 and len(view.cameras) == 3
     assert not set(train.cameras) & (set(view.cameras) | set(pose.cameras))
     assert set(view.frames) <= set(train.frames) and not set(pose.frames) & set(train.frames)
+    sequence = capture.splits["sequence"]
+    assert len(sequence.cameras) == 1 and set(sequence.cameras) <= set(pose.cameras) and len(sequence.frames) == 2
+    assert not set(sequence.frames) & (set(train.frames) | set(pose.frames))
+    # Successive frames at 30 Hz: centimetres from one to the next, where other frames are decimetres apart.
+    first, second = (capture.poses.vertices[capture.poses.index(frame)] for frame in sequence.frames)
+    assert 0.005 < np.linalg.norm(second - first, axis=-1).mean() < 0.05
     scene = mi.load_file(str(tiny / "lighting.xml"))
     assert len(scene.emitters()) == 1
 

@@ -94,3 +94,9 @@ def test_sequences_are_the_closest_frames_of_the_first_camera(capture, monkeypat
     assert [view.file for view in chosen["train"].views] == ["train/c0/000002.png", "train/c0/000005.png"]
     assert len({s.split: s for s in choose_sequences(capture, 100)}["novel_view"].frames) == 8
     assert choose_sequences(capture, 0) == []
+
+
+def test_a_split_made_for_it_is_the_only_one_taken(capture, monkeypatch):
+    monkeypatch.setitem(capture.splits, "sequence", Split(("n0",), (0, 2, 5)))
+    assert choose_sequences(capture, 12) == [FrameSequence("sequence", "n0", (0, 2, 5))]
+    assert choose_sequences(capture, 0) == []

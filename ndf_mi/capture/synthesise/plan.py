@@ -18,6 +18,8 @@ from ndf_mi.errors import InputError
 TRAINING_CLIPS = ("walk", "climb")
 NOVEL_CLIP = "jump"
 #: The performer's build: shape coefficients by name; the others are 0.
+#: First frame of the sequence in that clip: the run-up to the first jump, 20 to 35 mm a frame.
+SEQUENCE_START = 24
 BUILD = {"height": 0.15, "muscle": 0.2, "sex": -0.1}
 
 
@@ -34,6 +36,8 @@ class Settings:
         view_frames: how many of these, evenly spaced, the novel views show.
         pose_frames: how many frames of the other motion are the novel poses.
         pose_cameras: how many cameras, evenly spaced among the novel views where there are any, see the novel poses.
+        sequence_frames: how many successive frames at 30 Hz of the other motion, one of which may be a novel pose, the first of the
+            novel poses' cameras sees.
         seed: of the cameras' placement and the renderer's sampling.
     """
 
@@ -45,6 +49,7 @@ class Settings:
     view_frames: int
     pose_frames: int
     pose_cameras: int
+    sequence_frames: int = 0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -58,6 +63,7 @@ class Settings:
             ("view_frames", 0, self.frames),
             ("pose_frames", 0, 120),
             ("pose_cameras", 1, self.cameras - self.train_cameras or self.cameras),
+            ("sequence_frames", 0, 60),
             ("seed", 0, 2**31 - 1),
         ):
             value = getattr(self, name)
@@ -66,24 +72,28 @@ class Settings:
 
 
 SIZES = {
-    "tiny": Settings(48, 16, 5, 2, 3, 1, 1, 2),
-    "quick": Settings(128, 100, 8, 4, 14, 3, 4, 4),
-    "studio": Settings(256, 132, 21, 4, 64, 6, 10, 7),
+    "tiny": Settings(48, 16, 5, 2, 3, 1, 1, 2, 2),
+    "quick": Settings(128, 100, 8, 4, 14, 3, 4, 4, 8),
+    "studio": Settings(256, 132, 21, 4, 64, 6, 10, 7, 12),
 }
 
 
 def splits(settings: Settings, names: list[str]) -> dict[str, Split]:
-    """Cameras and frames of each split; training frames are numbered from 0, those of the novel poses follow."""
+    """Cameras and frames of each split; training frames are numbered from 0, those of the novel poses and of the sequence follow."""
     train = evenly(names, settings.train_cameras)
     others = tuple(name for name in names if name not in train)
     frames = tuple(range(settings.frames))
     viewed = tuple(int(f) for f in _spread(settings.frames, settings.view_frames))
     posed = tuple(range(settings.frames, settings.frames + settings.pose_frames))
+    start = settings.frames + settings.pose_frames
+    sequence = tuple(range(start, start + settings.sequence_frames))
+    posing = evenly(list(others or train), settings.pose_cameras)
     nothing = Split()
     return {
         "train": Split(train, frames),
         "novel_view": Split(others, viewed) if others and viewed else nothing,
-        "novel_pose": Split(evenly(list(others or train), settings.pose_cameras), posed) if posed else nothing,
+        "novel_pose": Split(posing, posed) if posed else nothing,
+        "sequence": Split(posing[:1], sequence) if sequence else nothing,
     }
 
 
@@ -93,7 +103,7 @@ def shape_of(body: Body) -> np.ndarray:
 
 
 def motion(body: Body, settings: Settings) -> Poses:
-    """The posed body of every frame: evenly spaced times of the training clips, then of the novel one.
+    """The posed body of every frame: evenly spaced times of the training clips, then of the novel one, then its sequence.
 
     The lowest point of every frame is at the height 0 and the hips are over the origin.
     """
@@ -101,11 +111,12 @@ def motion(body: Body, settings: Settings) -> Poses:
     counts = [(TRAINING_CLIPS[0], first), (TRAINING_CLIPS[1], settings.frames - first), (NOVEL_CLIP, settings.pose_frames)]
     shape = shape_of(body)
     parts = []
-    for name, count in counts:
+    for name, count in [*counts, (None, settings.sequence_frames)]:
         if count:
-            clip = load_clip(name)
+            clip = load_clip(name or NOVEL_CLIP)
             length = int(clip.duration * 30)
-            frames = np.round((np.arange(count) + 0.5) / count * length).astype(int)
+            spread = np.round((np.arange(count) + 0.5) / count * length).astype(int)
+            frames = spread if name else SEQUENCE_START + np.arange(count)
             parts.append(pose_sequence(body, clip, frames, rate=30.0, shape=shape, place="treadmill"))
 
     def joined(field: Callable[[Poses], np.ndarray]) -> np.ndarray:
@@ -115,7 +126,7 @@ def motion(body: Body, settings: Settings) -> Poses:
     vertices = joined(lambda p: p.vertices)
     lift = np.array([0, 1, 0], dtype=np.float32) * vertices[..., 1].min(axis=1)[:, None]
     return Poses(
-        np.arange(settings.frames + settings.pose_frames, dtype=np.int32),
+        np.arange(settings.frames + settings.pose_frames + settings.sequence_frames, dtype=np.int32),
         vertices - lift[:, None],
         joined(lambda p: p.pose),
         joined(lambda p: p.root_rotation),

@@ -28,7 +28,7 @@ SETTINGS_FILE = "synthesis.json"
 #: sRGB of the pixels without performer.
 BACKGROUND = (0.5, 0.5, 0.5)
 #: Raised whenever the same settings give other pictures than before.
-RECIPE = 1
+RECIPE = 2
 
 _OWN_FILES = (FILE_NAME, "body.npz", "poses.npz", lighting.SCENE, lighting.ENVIRONMENT, SETTINGS_FILE)
 _OWN_FOLDERS = ("images", "masks")
