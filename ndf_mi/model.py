@@ -5,6 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from ndf_mi import variants
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.coordinates import coordinates
@@ -82,10 +83,10 @@ class PosedModel:
         return triangle | dr.select(lone, mi.UInt32(_LONE), 0), keep & kept
 
     def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: mi.UInt32, active: mi.Bool) -> FieldSample:
-        """Density, colour and coordinates at located points through batched networks; attached to x, vertices and weights."""
+        """Density, colour and coordinates at located points, for evaluated code; attached to x, vertices and weights."""
         if self._occupancy is None:
-            return self._evaluate(x, d, handle, active, fused=False)
-        sample = self._evaluate(x, d, handle & (_LONE - 1), active, fused=False)
+            return self._evaluate(x, d, handle, active)
+        sample = self._evaluate(x, d, handle & (_LONE - 1), active)
         sample.weight = dr.select((handle & _LONE) != 0, 1.0 / self._occupancy.explore, 1.0)
         return sample
 
@@ -93,14 +94,14 @@ class PosedModel:
         """Density, colour and coordinates at any point, for symbolic code. Density is zero outside the band."""
         active = mi.Bool(active) & self.surface.near(x)
         triangle = self.surface.closest(x, active)
-        return self._evaluate(x, d, triangle, active, fused=True)
+        return self._evaluate(x, d, triangle, active, symbolic=True)
 
     def unit(self, uv: mi.Point2f, l: mi.Float) -> mi.Point3f:
         """(u*, v*, l*) in the unit cube, whatever the networks' coordinates: l from −`band_inside` to `band` becomes 0 to 1."""
         scale = 1.0 / (self._band + self._inside)
         return mi.Point3f(uv.x, uv.y, dr.fma(l, scale, self._inside * scale))
 
-    def _evaluate(self, x: mi.Point3f, d: mi.Vector3f, triangle: mi.UInt32, active: mi.Bool, fused: bool) -> FieldSample:
+    def _evaluate(self, x: mi.Point3f, d: mi.Vector3f, triangle: mi.UInt32, active: mi.Bool, symbolic: bool = False) -> FieldSample:
         found = self.surface.project_onto(triangle, x, active)
         active = active & found.valid & (found.l >= -self._inside)
         # A non-finite input in a masked lane would poison every weight's gradient.
@@ -109,7 +110,14 @@ class PosedModel:
         u = self._coordinates(x, found, active)
         d = dr.select(active, d, mi.Vector3f(0.0, 0.0, 1.0))
         n = dr.select(active, found.normal, mi.Normal3f(0.0, 0.0, 1.0))
+        # Where nothing is differentiated, small networks are quicker as cooperative vectors.
+        fused = symbolic or (self.bound.width <= variants.fused_width() and not dr.grad_enabled(list(u), d) and not self.bound.attached)
+        if fused and not symbolic and not self.bound.packed:
+            self.bound.pack()
         sigma, colour = self.bound.fused(u, d, n, active) if fused else self.bound.batched(u, d, n)
+        if fused and not symbolic:
+            # Each of the arrays would otherwise be a kernel of its own with the whole network in it.
+            dr.eval(sigma, colour, l, uv, found.normal)
         if self._fade > 0:
             for depth in ((self._band - l) / self._band, (self._inside + l) / self._inside):
                 s = dr.clip(depth / self._fade, 0.0, 1.0)

@@ -31,6 +31,13 @@ def llvm_usable() -> bool:
     return bool(dr.has_backend(dr.JitBackend.LLVM))
 
 
+def fused_width() -> int:
+    """Width of networks up to which cooperative vectors are quicker than matrix products over all samples, where nothing is
+    differentiated; 0 if they never are. Measured on the CPU; on GPUs cooperative vectors are of half precision."""
+    mi = _working("mitsuba")
+    return 64 if mi.variant() == LLVM else 0
+
+
 def preferred() -> str:
     """The variant that suits this machine: CUDA where a GPU is usable, else LLVM; ``NDF_MI_VARIANT`` overrides.
 

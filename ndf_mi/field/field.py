@@ -59,7 +59,12 @@ class Field:
 
 
 class BoundField:
-    """A :class:`Field` at one pose. :meth:`batched` and :meth:`fused` give the same values from the same weights."""
+    """A :class:`Field` at one pose. :meth:`batched` and :meth:`fused` give the same values from the same weights.
+
+    Attributes:
+        preset, majorant: the field's.
+        width: of the widest layer that a sample passes through.
+    """
 
     def __init__(self, field: Field, pose: mi.Float) -> None:
         self.preset = field.preset
@@ -68,6 +73,7 @@ class BoundField:
         self._encoding = field._encoding
         self._grid = field.grid
         self._packed: dict[str, tuple[Any, Any]] | None = None
+        self.width = max(layer.outputs for name, layer in field.layers.items() if not name.startswith("pose"))
 
         features = mi.TensorXf(pose, (3 * field.joints, 1))
         for i in range(len(self.preset.pose_layers)):
@@ -103,6 +109,17 @@ class BoundField:
             raise RuntimeError("BoundField.fused: call pack() first, outside of symbolic code")
         return self._evaluate(_Fused(self._packed), u, d, n, active)
 
+    @property
+    def packed(self) -> bool:
+        """Whether :meth:`pack` has been called."""
+        return self._packed is not None
+
+    @property
+    def attached(self) -> bool:
+        """Whether gradients are being tracked of any weight, of the hash table, or of the pose."""
+        tensors = [part.array for pair in self._tensors.values() for part in pair]
+        return any(dr.grad_enabled(value) for value in (*tensors, self._grid) if value is not None)
+
     def pack(self) -> None:
         """Lays the weights out for :meth:`fused`; attached, so that gradients reach the field's weights."""
         names = list(self._tensors)
@@ -135,7 +152,7 @@ class BoundField:
 
         for i in range(len(p.colour_linear)):
             h = run.linear(f"linear{i}", h)
-        seen = frequency(list(d), p.direction_octaves)
+        seen = frequency(list(d), p.direction_octaves) if p.direction_octaves >= 0 else []
         if p.normal_octaves >= 0:
             seen += frequency(list(n), p.normal_octaves)
         h = run.enter(h, seen)

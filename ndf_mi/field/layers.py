@@ -66,7 +66,8 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
     for i, w in enumerate(preset.colour_linear):
         width = add(f"linear{i}", width, pose if i == 1 else 0, w)
     joined_pose = pose if not preset.colour_linear else 0
-    width += frequency_width(3, preset.direction_octaves)
+    if preset.direction_octaves >= 0:
+        width += frequency_width(3, preset.direction_octaves)
     if preset.normal_octaves >= 0:
         width += frequency_width(3, preset.normal_octaves)
     for i, w in enumerate(preset.colour_layers):

@@ -89,7 +89,7 @@ class Preset:
     """Hidden widths of the colour network M_c after the view direction has joined."""
 
     direction_octaves: int = 2
-    """Octaves of γ on the view direction."""
+    """Octaves of γ on the view direction; −1 leaves it out: a part of the surface then has the same colour from everywhere."""
 
     normal_octaves: int = -1
     """Octaves of γ on the world-space normal of the body's surface, which then enters the colour network beside the view direction, so
@@ -119,7 +119,7 @@ class Preset:
             check(abs(getattr(self, key)) < float("inf"), key, "a number")
         check(0 < self.band_inside <= self.band, "band_inside", f"a number above 0, at most the band's {self.band}")
         check(0 <= self.band_fade < 1, "band_fade", "a fraction in [0, 1)")
-        for key in ("deformation_octaves", "octaves", "direction_octaves", "feature_width"):
+        for key in ("deformation_octaves", "octaves", "feature_width"):
             check(0 <= getattr(self, key) <= 1024, key, "a whole number from 0 to 1024")
         for key in ("pose_layers", "deformation_layers", "density_layers", "colour_layers", "colour_linear"):
             widths = getattr(self, key)
@@ -129,7 +129,8 @@ class Preset:
         check(self.distance in ("signed", "unsigned", "none"), "distance", "signed, unsigned or none")
         check(self.strata >= 1, "strata", "a whole number from 1 on")
         check(len(self.colour_linear) != 1, "colour_linear", "no layers, or at least two: the pose joins at the second")
-        check(-1 <= self.normal_octaves <= 1024, "normal_octaves", "-1, or a whole number up to 1024")
+        for key in ("normal_octaves", "direction_octaves"):
+            check(-1 <= getattr(self, key) <= 1024, key, "-1, or a whole number up to 1024")
         check(0 <= self.density_skip < len(self.density_layers), "density_skip",
               f"0, or a number below the {len(self.density_layers)} density layers")
         check(self.encoding in ("frequency", "grid"), "encoding", "frequency or grid")
@@ -156,7 +157,7 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset(normal_octaves=1),
+    "fast": Preset(normal_octaves=1, direction_octaves=-1),
     "tiny": Preset(
         name="tiny", pose_layers=(8, 4), deformation_layers=(8,), deformation_octaves=2, grid_levels=4, grid_entries=2**10,
         grid_base=8, grid_finest=32, density_layers=(16,), feature_width=8, colour_layers=(16,), direction_octaves=1,

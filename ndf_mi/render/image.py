@@ -1,4 +1,11 @@
-"""Whole images by quadrature: the pixels whose rays meet the band's box, tile by tile."""
+"""Whole images by quadrature: the pixels whose rays meet the band's box, tile by tile, front to back.
+
+Rays are looked at in rounds, each a part of their samples. What is opaque after a round is left out of those behind:
+
+    L = Σ_k T_k L_k,    T_{k+1} = T_k (1 − opacity_k)
+
+with L_k and opacity_k from round k alone. A ray that is left out at T ≤ `cutoff` would have gained at most T in any channel.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +20,8 @@ from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.render.quadrature import VolumeField, Workspace, quadrature
 from ndf_mi.render.sampling import box_interval
 
-TILE = 4096
-"""Rays rendered at once. Every tile has this many, so that one set of kernels serves all."""
+LANES = 1 << 19
+"""Candidate samples looked at at once. Every tile has as many rays as make this number, so that one set of kernels serves all."""
 
 
 class RaySource(Protocol):
@@ -54,30 +61,52 @@ class ImageRenderer:
     workspace: Workspace = field(default_factory=Workspace)
     spp: int = 1
     """Rays a pixel: 1 goes through the centre; more are spread over the pixel by a low-discrepancy sequence and averaged."""
+    rounds: int = 4
+    """Rounds at most: as many as divide `samples`."""
+    cutoff: float = 1e-4
+    """Transmittance up to which a ray goes on to the next round; 0 follows every ray to its end."""
 
     def __call__(self, volume: VolumeField, camera: RaySource, geometry: bool = False) -> Image:
         """Renders `volume` as `camera` sees it; the same every time."""
         pixels = self._pixels(volume, camera)
-        size = camera.h * camera.w
-        channels = 11 if geometry else 5
-        out = np.zeros((channels, size), dtype=np.float32)
+        out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
         with dr.suspend_grad():
-            for start in range(0, len(pixels), TILE):
-                chosen = pixels[start : start + TILE]
-                padded = np.full(TILE, chosen[0], dtype=np.uint32)
-                padded[: len(chosen)] = chosen
-                for place in range(self.spp):
-                    rays = self._rays(camera, mi.UInt32(padded), _place(place))
-                    seen = quadrature(volume, rays, self.samples, workspace=self.workspace, geometry=geometry)
-                    rows = [*seen.colour, seen.opacity, seen.depth]
-                    if seen.u is not None and seen.normal is not None:
-                        rows += [*seen.u, *seen.normal]
-                    dr.eval(rows)
-                    for row, value in zip(out, rows, strict=True):
-                        row[chosen] += value.numpy()[: len(chosen)] / self.spp
-        image = np.moveaxis(out.reshape(channels, camera.h, camera.w), 0, -1)
+            for place in range(self.spp):
+                out += self._rounds(volume, camera, pixels, _place(place), geometry) / self.spp
+        image = np.moveaxis(out.reshape(-1, camera.h, camera.w), 0, -1)
         return Image(image[..., :3], image[..., 3], image[..., 4],
                      image[..., 5:8] if geometry else None, image[..., 8:11] if geometry else None)
+
+    def _rounds(
+        self, volume: VolumeField, camera: RaySource, pixels: np.ndarray, place: tuple[float, float], geometry: bool
+    ) -> np.ndarray:
+        """Colour, opacity, depth and, if asked for, (u, v, l) and normal of one ray a pixel, (5 or 11, h·w)."""
+        rounds = max(n for n in range(1, min(self.rounds, self.samples) + 1) if self.samples % n == 0)
+        count = self.samples // rounds
+        tile = max(LANES // (count * volume.strata), 1)
+        out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
+        transmittance = np.ones(camera.h * camera.w, dtype=np.float32)
+        for number in range(rounds):
+            for start in range(0, len(pixels), tile):
+                chosen = pixels[start : start + tile]
+                padded = np.full(tile, chosen[0], dtype=np.uint32)
+                padded[: len(chosen)] = chosen
+                rays = self._rays(camera, mi.UInt32(padded), place)
+                # The padding's rays end where they start, and so cost next to nothing.
+                rays.maxt = dr.select(dr.arange(mi.UInt32, tile) < dr.opaque(mi.UInt32, len(chosen)), dr.inf, 0.0)
+                seen = quadrature(volume, rays, self.samples, window=(number * count, count), workspace=self.workspace, geometry=geometry)
+                rows = [*seen.colour, seen.opacity, seen.depth]
+                if seen.u is not None and seen.normal is not None:
+                    rows += [*seen.u, *seen.normal]
+                dr.eval(rows)
+                values = np.stack([row.numpy()[: len(chosen)] for row in rows])
+                values[4:] *= values[3]
+                out[:, chosen] += transmittance[chosen] * values
+                transmittance[chosen] *= 1 - values[3]
+            if self.cutoff > 0:
+                pixels = pixels[transmittance[pixels] > self.cutoff]
+        out[4:] /= np.maximum(out[3], 1e-6)
+        return out
 
     @staticmethod
     def _rays(camera: RaySource, index: mi.UInt32, place: tuple[float, float] = (0.5, 0.5)) -> mi.Ray3f:

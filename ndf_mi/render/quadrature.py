@@ -76,6 +76,7 @@ def quadrature(
     samples: int,
     *,
     jitter: mi.Float | None = None,
+    window: tuple[int, int] | None = None,
     workspace: Workspace | None = None,
     geometry: bool = False,
 ) -> Radiance:
@@ -85,7 +86,8 @@ def quadrature(
     them reach the network, is detached.
 
     Args:
-        jitter: N·samples·strata numbers in [0, 1) for stratified sampling; None for the strata's middles.
+        jitter: N·samples·strata numbers in [0, 1) for stratified sampling; None for the strata's middles. Not with `window`.
+        window: first of the samples and how many of them to look at: the part of the ray that those strata cover. None for all.
         workspace: keeps array sizes steady over calls; a fresh one is made where None.
         geometry: also return (u, v, l) and normals.
     """
@@ -94,24 +96,30 @@ def quadrature(
     ray = mi.Ray3f(ray)
     ray.o = ray.o + dr.zeros(mi.Vector3f, rays)
     ray.d = ray.d + dr.zeros(mi.Vector3f, rays)
-    samples *= volume.strata
+    first, count = window or (0, samples)
+    part = first * volume.strata, count * volume.strata, samples * volume.strata
+    samples = part[1]
     lanes = rays * samples
 
     with dr.suspend_grad():
         hit, near, far = box_interval(volume.bbox, ray)
+        if window is not None:
+            step = (far - near) / part[2]
+            near = dr.fma(step, part[0], near)
+            far = dr.fma(step, part[1], near)
         t, delta = stratified(near, far, samples, jitter)
         parent = dr.arange(mi.UInt32, lanes) // samples
         x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * t)
         candidate = dr.gather(mi.Bool, hit, parent) & volume.near(x)
         dr.eval(candidate, t, delta)
-        first, real, _ = workspace.near(candidate)
-        parent = first // samples
-        x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * dr.gather(mi.Float, t, first))
+        chosen, real, _ = workspace.near(candidate)
+        parent = chosen // samples
+        x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * dr.gather(mi.Float, t, chosen))
         handle, inside = volume.locate(x, real)
         inside &= real
         dr.eval(handle, inside)
         second, real, evaluated = workspace.inside(inside)
-        index = dr.gather(mi.UInt32, first, second)
+        index = dr.gather(mi.UInt32, chosen, second)
         handle = dr.gather(type(handle), handle, second)
         dr.eval(index, handle, real)
 

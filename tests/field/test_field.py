@@ -176,3 +176,12 @@ def test_the_normal_changes_colour_alone_and_only_where_the_preset_says_so():
         (sigma, colour), (other_sigma, other_colour) = (bound.batched(*arguments, mi.Normal3f(*n)) for n in ((0, 0, 1), (0, 1, 0)))
         assert (sigma.numpy() == other_sigma.numpy()).all()
         assert bool((colour.numpy() != other_colour.numpy()).any()) is expected
+
+
+def test_the_direction_changes_colour_alone_and_only_where_the_preset_says_so():
+    u, d, pose = inputs()
+    for octaves in (-1, 0, 2):
+        field = Field(dataclasses.replace(preset("tiny"), direction_octaves=octaves, normal_octaves=-1), JOINTS, 3)
+        there, back = (evaluate(field, u, sign * d, pose, "batched") for sign in (1, -1))
+        assert dr.all(there[0] == back[0])
+        assert (np.abs(np.array(there[1]) - np.array(back[1])).max() > 1e-4) == (octaves >= 0)
