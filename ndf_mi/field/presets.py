@@ -157,7 +157,7 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset(normal_octaves=1, direction_octaves=-1),
+    "fast": Preset(normal_octaves=1, direction_octaves=-1, grid_entries=2**18),
     "tiny": Preset(
         name="tiny", pose_layers=(8, 4), deformation_layers=(8,), deformation_octaves=2, grid_levels=4, grid_entries=2**10,
         grid_base=8, grid_finest=32, density_layers=(16,), feature_width=8, colour_layers=(16,), direction_octaves=1,

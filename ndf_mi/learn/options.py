@@ -42,10 +42,10 @@ class TrainingOptions:
     box_padding: float = BOX_PADDING
     """Padding of the body's box in metres, for the pixels drawn."""
 
-    learning_rate: float = 2e-3
+    learning_rate: float = 4e-3
     """Adam's rate for the networks."""
 
-    grid_rate: float = 1e-2
+    grid_rate: float = 2e-2
     """Adam's rate for the hash table."""
 
     decay: float = 0.1
