@@ -104,7 +104,7 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
 
     Raises:
         KeyboardInterrupt: stopped by a signal.
-        InputError: the image error is no longer finite.
+        InputError: steps were refused time and again because their gradients were not finite.
     """
     folder = trainer.run.path
     options = trainer.options
@@ -119,11 +119,13 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
             bar.update(task, completed=trainer.done)
             begun, begun_at = trainer.done, time.perf_counter()
             while trainer.done < 1 and not signals.received:
+                refused = trainer.progress.refused
                 trainer.step()
                 now = trainer.progress
-                if not math.isfinite(now.error):
-                    raise InputError(f"step {now.step}", "an image error that is not finite", "a training that converges",
-                                     f"Take a smaller learning rate. {folder} stays as it was at the last checkpoint.")
+                if now.refused > refused:
+                    bar.console.print(f"step {now.step + 1} is not taken: its gradient is not finite. Going on from an earlier state at "
+                                      f"{now.rate_factor:g} of the learning rate")
+                    continue
                 if now.step % _LOG_EVERY == 0 or trainer.done >= 1:
                     _log(log, board, trainer)
                     rate = (trainer.done - begun) / (time.perf_counter() - begun_at)

@@ -14,6 +14,7 @@ import numpy as np
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.field.occupancy import Occupancy
+from ndf_mi.learn.guard import Guard
 from ndf_mi.learn.loss import ImageLoss
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RaySampler
@@ -34,12 +35,15 @@ compiled anew. In pairs, so that the second of a pair goes by the last few dozen
 
 @dataclass(frozen=True)
 class Progress:
-    """Where training stands: steps done, seconds spent, smoothed mean squared error in sRGB, samples that reached the networks."""
+    """Where training stands: steps done, seconds spent, smoothed mean squared error in sRGB, samples that reached the networks, steps
+    refused because their gradients were not finite, and what that has left of the learning rates."""
 
     step: int
     seconds: float
     error: float
     evaluated: int
+    refused: int = 0
+    rate_factor: float = 1.0
 
     @property
     def psnr(self) -> float:
@@ -70,6 +74,7 @@ class Trainer:
             self._table = mi.ad.Adam(lr=options.grid_rate, params={"grid": field.grid}, mask_updates=True, epsilon=1e-15)
         # Two percent of opacity over a centimetre; what is never seen stays as thin as training starts, just below it.
         self._occupancy = Occupancy(threshold=2.0) if options.skip_empty else None
+        self._guard = Guard([self._networks] if self._table is None else [self._networks, self._table])
         self._step = 0
         self._seconds = 0.0
         self._error = float("nan")
@@ -78,7 +83,7 @@ class Trainer:
     @property
     def progress(self) -> Progress:
         """Where training stands."""
-        return Progress(self._step, self._seconds, self._error, self._evaluated)
+        return Progress(self._step, self._seconds, self._error, self._evaluated, self._guard.refused, self._guard.factor)
 
     @property
     def done(self) -> float:
@@ -88,7 +93,11 @@ class Trainer:
         return min(1.0, max(by_steps, by_clock))
 
     def step(self) -> None:
-        """Takes one step."""
+        """Takes one step; where its gradients are not finite, goes back to the last state kept instead, with smaller rates.
+
+        Raises:
+            InputError: smaller rates have not helped.
+        """
         started = time.perf_counter()
         if self._step in _SETTLE:
             self._workspace.near.settle()
@@ -106,6 +115,10 @@ class Trainer:
         seen = quadrature(posed, ray, self.options.samples, jitter=jitter, workspace=self._workspace)
         loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask))
         dr.backward(loss.total)
+        if not self._guard.sound(loss.total, self._step):
+            self._guard.refuse(self._step + 1)
+            self._seconds += time.perf_counter() - started
+            return
 
         weights = self._networks["weights"]
         dr.set_grad(weights, dr.clip(dr.grad(weights), -self.options.clip, self.options.clip))
@@ -130,7 +143,13 @@ class Trainer:
             field.grid = dr.detach(self._table["grid"])
 
     def save(self) -> None:
-        """Writes the state to go on from, then the field."""
+        """Writes the state to go on from, then the field.
+
+        Raises:
+            InputError: the weights are not finite, time and again.
+        """
+        if not self._guard.finite():
+            self._guard.refuse(self._step)
         tensors = adam_tensors(self._networks, "networks")
         if self._table is not None:
             tensors |= adam_tensors(self._table, "table")
@@ -140,6 +159,7 @@ class Trainer:
             "step": self._step,
             "seconds": self._seconds,
             "error": None if math.isnan(self._error) else self._error,
+            "rate_factor": self._guard.factor,
             "random": self._rng.bit_generator.state,
             "near": [self._workspace.near.size, self._workspace.near.largest],
             "inside": [self._workspace.inside.size, self._workspace.inside.largest],
@@ -163,6 +183,9 @@ class Trainer:
             self._rng.bit_generator.state = facts["random"]
             self._step, self._seconds = int(facts["step"]), float(facts["seconds"])
             self._error = float("nan") if facts["error"] is None else float(facts["error"])
+            # States written before rates could be made smaller lack it.
+            self._guard.factor = float(facts.get("rate_factor", 1.0))
+            self._guard.keep()
             for compaction, key in ((self._workspace.near, "near"), (self._workspace.inside, "inside")):
                 compaction.size, compaction.largest = map(int, facts[key])
             if self._occupancy is not None:
@@ -183,7 +206,7 @@ class Trainer:
     def _set_rates(self) -> None:
         options = self.options
         spent = self._step / options.decay_steps if options.decay_steps else self.done
-        factor = options.decay**spent
+        factor = options.decay**spent * self._guard.factor
         self._networks.set_learning_rate(options.learning_rate * factor)
         if self._table is not None:
             self._table.set_learning_rate(options.grid_rate * factor)
