@@ -113,7 +113,9 @@ class PosedModel:
         # Where nothing is differentiated, small networks are quicker as cooperative vectors.
         fused = symbolic or (self.bound.width <= variants.fused_width() and not dr.grad_enabled(list(u), d) and not self.bound.attached)
         if fused and not symbolic and not self.bound.packed:
-            self.bound.pack()
+            # Attached all the same: it may serve for more than the call under way.
+            with dr.resume_grad():
+                self.bound.pack()
         sigma, colour = self.bound.fused(u, d, n, active) if fused else self.bound.batched(u, d, n)
         if fused and not symbolic:
             # Each of the arrays would otherwise be a kernel of its own with the whole network in it.

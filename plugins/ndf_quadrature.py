@@ -51,7 +51,7 @@ def register() -> None:
              normal (of the body's surface nearest to what is seen). (Default: none)
 
         - Differentiable in whatever the medium exposes, and in the sensor's rays, by plain automatic differentiation.
-        - Only samples in the band are projected and evaluated, by batched networks.
+        - Only samples in the band are projected and evaluated, all together.
         - Sees neither surfaces, nor other media, nor emitters other than the environment: no light is scattered.
         - One ``ndf`` medium a scene.
 
@@ -82,10 +82,10 @@ def register() -> None:
         def sample(
             self, mode: dr.ADMode, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool = True, **_: Any
         ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
-            model = _performer(scene)
+            model, scale = _performer(scene)
             offset = sampler.next_1d() if self.stratified else None
             width = dr.width(ray.d)
-            passes = [self._pass(model, ray, offset, first, min(RAYS_AT_ONCE, width - first))
+            passes = [self._pass(model, scale, ray, offset, first, min(RAYS_AT_ONCE, width - first))
                       for first in range(0, width, RAYS_AT_ONCE)]
             colour = mi.Color3f(*[_concat([seen.colour[i] for seen in passes]) for i in range(3)])
             opacity = _concat([seen.opacity for seen in passes])
@@ -96,7 +96,7 @@ def register() -> None:
                 colour += (1.0 - opacity) * environment.eval(si)
             return mi.Spectrum(colour), opacity > 0.5, self._aov_values(passes), None
 
-        def _pass(self, model: PosedModel, ray: mi.Ray3f, offset: mi.Float | None, first: int, count: int) -> Radiance:
+        def _pass(self, model: PosedModel, scale: float, ray: mi.Ray3f, offset: mi.Float | None, first: int, count: int) -> Radiance:
             """Radiance along `count` rays from number `first` on."""
             index = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
             part = mi.Ray3f(dr.gather(mi.Point3f, ray.o, index), dr.gather(mi.Vector3f, ray.d, index))
@@ -104,7 +104,7 @@ def register() -> None:
             if offset is not None:
                 jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples * model.strata)
             geometry = "uvl" in self.aovs or "normal" in self.aovs
-            return quadrature(model, part, self.samples, jitter=jitter, workspace=self._workspace, geometry=geometry)
+            return quadrature(model, part, self.samples, jitter=jitter, scale=scale, workspace=self._workspace, geometry=geometry)
 
         def _aov_values(self, passes: list[Radiance]) -> list[mi.Float]:
             values: list[mi.Float] = []
@@ -122,8 +122,8 @@ def register() -> None:
     mi.register_integrator("ndf_quadrature", lambda props: NDFQuadrature(props))
 
 
-def _performer(scene: mi.Scene) -> PosedModel:
-    """The one ``ndf`` medium among the interiors of the scene's shapes."""
+def _performer(scene: mi.Scene) -> tuple[PosedModel, float]:
+    """The field of the one ``ndf`` medium among the interiors of the scene's shapes, and the factor on its density."""
     found: list[Any] = []
     for shape in scene.shapes():
         medium = shape.interior_medium()
@@ -131,7 +131,7 @@ def _performer(scene: mi.Scene) -> PosedModel:
             found.append(medium)
     if len(found) != 1:
         raise InputError("ndf_quadrature", f"{len(found)} `ndf` media in the scene", "exactly one, as the interior of a shape")
-    return found[0].posed()
+    return found[0].posed(), float(getattr(found[0], "field", found[0]).scale)
 
 
 def _concat(parts: list[mi.Float]) -> mi.Float:

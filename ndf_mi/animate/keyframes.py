@@ -123,4 +123,7 @@ def _rigid(value: Any, where: str) -> np.ndarray:
     turn = matrix[:3, :3]
     if not np.isfinite(matrix).all() or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
         raise InputError(where, "a matrix that is not a rotation and a translation", "a rigid motion, right-handed")
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
+        raise InputError(f"{where}[3]", json.dumps(matrix[3].tolist()), "[0, 0, 0, 1]",
+                         "The numbers go row by row, the translation at the rows' ends.")
     return matrix

@@ -153,7 +153,7 @@ def _pattern(value: Any, key: str, faults: Faults) -> str | None:
         return None
     try:
         names = {text.format(camera=camera, frame=frame) for camera in "ab" for frame in (1, 2)}
-    except (KeyError, IndexError, ValueError):
+    except (KeyError, IndexError, ValueError, AttributeError, TypeError):
         names = set()
     if len(names) != 4 or any(Path(name).is_absolute() or ".." in Path(name).parts for name in names):
         faults.add(key, show(text), f'a relative path of {{camera}} and {{frame}}, such as "{IMAGE_PATTERN}"')

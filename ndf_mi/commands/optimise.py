@@ -108,6 +108,10 @@ def _value(text: str, value: str, current: Any) -> Any:
         return tuple(found)
     if isinstance(current, float) and isinstance(found, (int, float)) and not isinstance(found, bool):
         return float(found)
+    if isinstance(current, bool):
+        if isinstance(found, bool):
+            return found
+        raise InputError("--option", repr(text), "true or false")
     if isinstance(current, int) and type(found) is int:
         return found
     kind = "a list of whole numbers, as [64,64]" if isinstance(current, tuple) else f"a number such as {current}"

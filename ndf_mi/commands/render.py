@@ -94,6 +94,10 @@ class Render:
         elif self.camera is not None:
             raise InputError("--camera", self.camera, "--capture beside it, or --azimuth and --elevation instead")
         else:
+            if not abs(self.azimuth) < float("inf"):
+                raise InputError("--azimuth", f"{self.azimuth:g}", "a finite number of degrees")
+            if not -90 < self.elevation < 90:
+                raise InputError("--elevation", f"{self.elevation:g}", "degrees between -90 and 90")
             camera = framing(run.poses.vertices[row], *(self.size or (512, 512)), self.azimuth, self.elevation)
         image = ImageRenderer(self.samples, spp=self.spp or 1)(run.posed(frame), camera, geometry=self.out.suffix.lower() == ".exr")
         if image.u is None or image.normal is None:

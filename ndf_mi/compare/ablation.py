@@ -11,7 +11,7 @@ from typing import Any
 from ndf_mi.capture.capture import Capture
 from ndf_mi.compare import machine
 from ndf_mi.compare.ablation_report import write_ablation_report
-from ndf_mi.compare.evaluate import choose_views, evaluate, to_render
+from ndf_mi.compare.evaluate import choose_views, evaluate, measured, to_render
 from ndf_mi.compare.flicker import choose_sequences
 from ndf_mi.compare.methods.ndf import NeuralField
 from ndf_mi.compare.results import MethodResult, Results
@@ -47,6 +47,8 @@ class Settings:
         for key, least in (("max_images", 1), ("samples", 1), ("sequence", 0), ("seed", 0)):
             if getattr(self, key) < least:
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), f"a whole number from {least} on")
+        if self.sequence == 1:
+            raise InputError("option sequence", "1", "at least 2, or 0 to leave temporal consistency out")
 
 
 class Study:
@@ -153,7 +155,7 @@ class Study:
         return {
             "capture": {"name": self._capture.name, "digest": self._capture.digest,
                         **{name: {"cameras": len(split.cameras), "frames": len(split.frames)} for name, split in splits.items()}},
-            "measured": {name: sum(view.split == name for view in self._views) for name in splits},
+            "measured": measured(self._views, self._sequences),
             "settings": asdict(self._settings),
             "preset": preset.to_dict(),
             "training": options.to_dict(),

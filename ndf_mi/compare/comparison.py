@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from ndf_mi.capture.capture import Capture
 from ndf_mi.compare import machine, protocols
-from ndf_mi.compare.evaluate import choose_views, evaluate, to_render
+from ndf_mi.compare.evaluate import choose_views, evaluate, measured, to_render
 from ndf_mi.compare.flicker import choose_sequences
 from ndf_mi.compare.methods.base import Method
 from ndf_mi.compare.methods.mesh import TexturedMesh
@@ -230,7 +230,7 @@ class Comparison:
                 "digest": self._capture.digest,
                 **{split: _extent(self._capture, split) for split in self._capture.splits},
             },
-            "measured": {split: sum(view.split == split for view in self._views) for split in self._capture.splits},
+            "measured": measured(self._views, self._sequences),
             "protocol": self._protocol.facts(
                 self._run.config.get("training"), self._capture, self.settings.max_images
             ),

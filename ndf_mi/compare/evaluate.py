@@ -58,6 +58,16 @@ def to_render(views: Sequence[View], sequences: Sequence[FrameSequence]) -> list
     return list(dict.fromkeys([*views, *(view for sequence in sequences for view in sequence.views)]))
 
 
+def measured(views: Sequence[View], sequences: Sequence[FrameSequence]) -> dict[str, int]:
+    """How many images of each split count in its means: `views`, and those of the split that is made for sequences."""
+    counted = _counted(views, sequences)
+    return {split: sum(view.split == split for view in counted) for split in SPLITS if any(view.split == split for view in counted)}
+
+
+def _counted(views: Sequence[View], sequences: Sequence[FrameSequence]) -> set[View]:
+    return set(views) | {view for sequence in sequences if sequence.split == "sequence" for view in sequence.views}
+
+
 def evaluate(
     method: Method,
     result: MethodResult,
@@ -79,8 +89,7 @@ def evaluate(
         sequences: what temporal consistency is measured on.
     """
     known = {image.view: image for image in result.images if (pictures / image.view.file).is_file()}
-    wanted = to_render(views, sequences)
-    sampled = set(views) | {view for sequence in sequences if sequence.split == "sequence" for view in sequence.views}
+    wanted, sampled = to_render(views, sequences), _counted(views, sequences)
 
     def there() -> list[Measured]:
         return [replace(known[view], sampled=view in sampled) for view in wanted if view in known]

@@ -93,7 +93,7 @@ def _protocol(results: Results) -> str:
 
 def _cards(results: Results) -> str:
     cards = []
-    for split in _held_out(results):
+    for split in (split for split in _held_out(results) if split != "sequence"):
         first, *others = results.methods
         ahead = []
         for other in others:

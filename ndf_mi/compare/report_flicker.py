@@ -25,7 +25,7 @@ SMOOTH = 50
 NOTE = (
     "Temporal PSNR is the PSNR of the change from one frame to the next, in one camera, over the boxes of both: an error that stays "
     "counts nothing, one that comes and goes does, and so does standing still while the performer moves. Errors that are independent "
-    "from frame to frame put it 3 dB below box PSNR."
+    "from frame to frame put it 3 dB below box PSNR. It is measured on the sequences below alone."
 )
 
 

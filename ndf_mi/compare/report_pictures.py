@@ -15,7 +15,7 @@ from ndf_mi.compare.flicker import read_picture
 from ndf_mi.compare.pictures import absolute_error, data_uri, error_map, error_scale, gradient
 from ndf_mi.compare.results import Results, View
 
-ROWS = {"novel_view": 4, "novel_pose": 4, "train": 1}
+ROWS = {"novel_view": 4, "novel_pose": 4, "sequence": 1, "train": 1}
 #: Pixels kept around the body's box.
 _MARGIN = 2
 #: Width over height up to which a picture leaves room for the error maps beside it, and methods up to which it does.

@@ -24,6 +24,10 @@ LANES = 1 << 19
 """Candidate samples looked at at once. Every tile has as many rays as make this number, so that one set of kernels serves all."""
 
 
+RECIPE = 2
+"""Raised whenever the same field at the same settings gives other pictures than before."""
+
+
 class RaySource(Protocol):
     """A camera: an image size and the rays through pixel coordinates."""
 
@@ -73,6 +77,8 @@ class ImageRenderer:
         with dr.suspend_grad():
             for place in range(self.spp):
                 out += self._rounds(volume, camera, pixels, _place(place), geometry) / self.spp
+        # What is only there where something is seen is a mean over that, not over the pixel.
+        out[4:] /= np.maximum(out[3], 1e-6)
         image = np.moveaxis(out.reshape(-1, camera.h, camera.w), 0, -1)
         return Image(image[..., :3], image[..., 3], image[..., 4],
                      image[..., 5:8] if geometry else None, image[..., 8:11] if geometry else None)
@@ -80,7 +86,7 @@ class ImageRenderer:
     def _rounds(
         self, volume: VolumeField, camera: RaySource, pixels: np.ndarray, place: tuple[float, float], geometry: bool
     ) -> np.ndarray:
-        """Colour, opacity, depth and, if asked for, (u, v, l) and normal of one ray a pixel, (5 or 11, h·w)."""
+        """Colour, opacity, and times opacity depth and, if asked for, (u, v, l) and normal of one ray a pixel, (5 or 11, h·w)."""
         rounds = max(n for n in range(1, min(self.rounds, self.samples) + 1) if self.samples % n == 0)
         count = self.samples // rounds
         tile = max(LANES // (count * volume.strata), 1)
@@ -105,7 +111,6 @@ class ImageRenderer:
                 transmittance[chosen] *= 1 - values[3]
             if self.cutoff > 0:
                 pixels = pixels[transmittance[pixels] > self.cutoff]
-        out[4:] /= np.maximum(out[3], 1e-6)
         return out
 
     @staticmethod

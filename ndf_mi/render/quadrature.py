@@ -77,6 +77,7 @@ def quadrature(
     *,
     jitter: mi.Float | None = None,
     window: tuple[int, int] | None = None,
+    scale: float = 1.0,
     workspace: Workspace | None = None,
     geometry: bool = False,
 ) -> Radiance:
@@ -88,6 +89,7 @@ def quadrature(
     Args:
         jitter: N·samples·strata numbers in [0, 1) for stratified sampling; None for the strata's middles. Not with `window`.
         window: first of the samples and how many of them to look at: the part of the ray that those strata cover. None for all.
+        scale: factor on the density.
         workspace: keeps array sizes steady over calls; a fresh one is made where None.
         geometry: also return (u, v, l) and normals.
     """
@@ -105,7 +107,7 @@ def quadrature(
         hit, near, far = box_interval(volume.bbox, ray)
         if window is not None:
             step = (far - near) / part[2]
-            near = dr.fma(step, part[0], near)
+            near = dr.fma(step, dr.opaque(mi.Float, part[0]), near)
             far = dr.fma(step, part[1], near)
         t, delta = stratified(near, far, samples, jitter)
         parent = dr.arange(mi.UInt32, lanes) // samples
@@ -131,7 +133,10 @@ def quadrature(
         """Back to one lane a candidate; zero where nothing was evaluated."""
         return _scatter(value, index, real, lanes)
 
-    tau = spread(sample.sigma if sample.weight is None else sample.sigma * sample.weight) * delta
+    sigma = sample.sigma if sample.weight is None else sample.sigma * sample.weight
+    if scale != 1.0:
+        sigma = sigma * dr.opaque(mi.Float, scale)
+    tau = spread(sigma) * delta
     weight = dr.exp(-dr.block_prefix_sum(tau, samples, exclusive=True)) * -expm1(-tau)
 
     def expect(value: mi.Float) -> mi.Float:

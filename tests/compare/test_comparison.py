@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import pytest
 
 from ndf_mi import files
+from ndf_mi.capture.capture import Capture
 from ndf_mi.commands import main
 from ndf_mi.commands.compare import Compare
 from ndf_mi.commands.compare_console import print_tables
@@ -200,3 +202,23 @@ def test_mistakes_leave_with_exit_code_2_and_nothing_written(capture, tmp_path, 
     said = capsys.readouterr().err
     assert "absent" in said and "expected" in said and "Traceback" not in said
     assert not (tmp_path / "out").exists()
+
+
+def test_a_split_of_successive_frames_is_measured_and_shown(run, capture, tmp_path):
+    folder, own = tmp_path / "capture", tmp_path / "run"
+    shutil.copytree(capture.path, folder)
+    shutil.copytree(run, own)
+    document = json.loads((folder / "capture.json").read_text())
+    document["splits"]["sequence"] = {"cameras": ["n0"], "frames": [2, 5, 7]}
+    (folder / "capture.json").write_text(json.dumps(document))
+    config = json.loads((own / "config.json").read_text())
+    config["capture"]["digest"] = Capture.read(folder).digest
+    (own / "config.json").write_text(json.dumps(config))
+    settings = replace(SETTINGS, sequence=3, offsets="none")
+    results = Comparison(own, folder, tmp_path / "out", settings, "ndf-mi compare").run(Watcher())
+    assert results.about["measured"] == {"novel_view": 1, "novel_pose": 1, "sequence": 3, "train": 1}
+    field = results.methods[0]
+    assert field.mean("sequence", "box_psnr") is not None and field.mean("sequence", "box_tpsnr") is not None
+    assert field.mean("novel_view", "box_tpsnr") is None
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "3 of successive frames" in page and "means over 3 images, of tPSNR over 2 pairs of frames" in page

@@ -71,3 +71,13 @@ def test_an_opaque_ball_hides_what_is_behind():
     chord = 2 * np.sqrt(np.maximum(1 - r2, 0))
     inside = chord > 0.5
     np.testing.assert_allclose(parts.opacity[inside], (1 - np.exp(-20 * chord))[inside], atol=2e-4)
+
+
+def test_depth_of_a_silhouette_is_a_mean_over_what_is_seen():
+    """Of sixteen rays a pixel some miss the ball: they have no depth, and take nothing from that of the others."""
+    image = ImageRenderer(64, spp=16)(Ball(200.0), Parallel(), geometry=True)
+    edge = (image.opacity > 0.2) & (image.opacity < 0.8)
+    assert edge.sum() >= 4
+    # The ball's front lies between 3 and 4 metres from the camera, and its normals have unit length at every ray.
+    assert ((image.depth[edge] > 3) & (image.depth[edge] < 4.1)).all()
+    assert (np.linalg.norm(image.normal[edge], axis=-1) > 0.8).all()

@@ -157,7 +157,10 @@ def _names(row: list[PurePosixPath]) -> list[str]:
 def _calibration(file: Path, i: int, name: str, lists: dict[str, Any], size: tuple[int, int] | None) -> Calibration:
     parts = {}
     for key, count in (("K", 9), ("D", None), ("R", 9), ("T", 3)):
-        array = np.asarray(lists[key][i])
+        try:
+            array = np.asarray(lists[key][i])
+        except ValueError:
+            raise InputError(f"{file}: cams.{key}[{i}]", "rows of unequal length", f"{count or 'up to 5'} numbers") from None
         if array.dtype.kind not in "iuf" or (count is not None and array.size != count):
             raise InputError(f"{file}: cams.{key}[{i}]", f"type {array.dtype}, shape {array.shape}", f"{count or 'up to 5'} numbers")
         parts[key] = array.astype(np.float64).ravel()

@@ -17,9 +17,9 @@ from ndf_mi.errors import InputError
 #: The clips whose poses are learnt from, and the one, unlike them, of the novel poses.
 TRAINING_CLIPS = ("walk", "climb")
 NOVEL_CLIP = "jump"
-#: The performer's build: shape coefficients by name; the others are 0.
 #: First frame of the sequence in that clip: the run-up to the first jump, 20 to 35 mm a frame.
 SEQUENCE_START = 24
+#: The performer's build: shape coefficients by name; the others are 0.
 BUILD = {"height": 0.15, "muscle": 0.2, "sex": -0.1}
 
 

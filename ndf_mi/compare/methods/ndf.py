@@ -11,7 +11,7 @@ import numpy as np
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.errors import InputError
-from ndf_mi.render.image import ImageRenderer
+from ndf_mi.render.image import RECIPE, ImageRenderer
 from ndf_mi.run import Run
 
 METRICS = "metrics.jsonl"
@@ -50,7 +50,7 @@ class NeuralField:
 
     def fingerprint(self) -> str:
         """SHA-256 (hex) over the field's parameters and how they are rendered: equal ones give equal images."""
-        state = hashlib.sha256(f"{self._run.config['preset']} {self._renderer.samples}".encode())
+        state = hashlib.sha256(f"{RECIPE} {self._run.config['preset']} {self._renderer.samples}".encode())
         for name, values in sorted(self._run.field_tensors().items()):
             state.update(name.encode() + values.tobytes())
         return state.hexdigest()
