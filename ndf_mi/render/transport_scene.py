@@ -14,7 +14,8 @@ from ndf_mi.render.transport import Performer
 def performers(scene: mi.Scene, who: str) -> list[Performer]:
     """The fields of a scene's ``ndf`` media, with the parameters that they have now, in the order of the scene's shapes.
 
-    Several media of one run, frame and scale are one performer, seen once: nested shells each hold their own. The first speaks for all.
+    Several media of one run, frame and scale are one performer, seen once, and the first speaks for all; so are the layers between nested
+    shells, each of which names the medium that it is part of as its `field`.
 
     Args:
         who: the integrator, for messages.
@@ -24,26 +25,25 @@ def performers(scene: mi.Scene, who: str) -> list[Performer]:
     """
     found: dict[Any, Any] = {}
     for shape in scene.shapes():
-        inside, outside = shape.interior_medium(), shape.exterior_medium()
-        for medium in (inside, outside):
-            if medium is None:
-                continue
-            if not hasattr(medium, "posed"):
-                raise InputError(f"{who}: {_name(shape)}", f"a medium of the class {medium.class_name()}", "no media but `ndf`",
-                                 "Only performers are integrated along rays: take the medium away, or render with `volpath`.")
-            found.setdefault(_identity(medium), medium)
-        if inside is not None:
+        for medium in (shape.interior_medium(), shape.exterior_medium()):
+            if medium is not None:
+                field = _field(medium, f"{who}: {_name(shape)}")
+                found.setdefault((os.path.realpath(field.run.path), field.frame, field.scale), field)
+        if shape.interior_medium() is not None:
             _check_bsdf(shape, who)
     for sensor in scene.sensors():
-        medium = sensor.get_medium()
-        if medium is not None and not hasattr(medium, "posed"):
-            raise InputError(f"{who}: the sensor's medium", f"one of the class {medium.class_name()}", "no media but `ndf`")
-    return [Performer(medium.posed(), float(medium.scale)) for medium in found.values()]
+        if sensor.get_medium() is not None:
+            _field(sensor.get_medium(), f"{who}: the sensor's medium")
+    return [Performer(field.posed(), float(field.scale)) for field in found.values()]
 
 
-def _identity(medium: Any) -> tuple[Any, ...]:
-    """What is the same in all the media of one performer."""
-    return os.path.realpath(medium.run.path), medium.frame, medium.scale
+def _field(medium: Any, where: str) -> Any:
+    """The ``ndf`` medium that a medium is, or is part of."""
+    field = getattr(medium, "field", medium)
+    if not hasattr(field, "posed"):
+        raise InputError(where, f"a medium of the class {medium.class_name()}", "no media but `ndf`",
+                         "Only performers are integrated along rays: take the medium away, or render with `volpath`.")
+    return field
 
 
 def _check_bsdf(shape: mi.Shape, who: str) -> None:

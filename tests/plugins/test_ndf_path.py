@@ -1,0 +1,448 @@
+"""`ndf_path` against Mitsuba's `path`, `ndf_quadrature`, and closed forms of a ball's shell of constant density."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from ndf_mi.colour import srgb_to_linear
+from ndf_mi.errors import InputError
+from ndf_mi.render.scene import render_scene
+
+BAND, RADIUS = 0.08, 0.3
+SIGMA = 6.0
+FINE = 500  # samples, where a closed form is met
+T = mi.ScalarTransform4f
+
+
+def performer(run, frame=0, scale=1.0, bsdf="null"):
+    return {"type": "ndf_shell", "run": str(run.path), "frame": frame, "bsdf": {"type": bsdf},
+            "interior": {"type": "ndf", "run": str(run.path), "frame": frame, "scale": scale}}
+
+
+@pytest.fixture
+def constant(make_constant_run):
+    """Makes a run of constant density and colour in the ball's band."""
+    # Densities have one limit, which is compiled into kernels.
+    return lambda sigma=SIGMA, srgb=(0.5, 0.5, 0.5), name="run": make_constant_run(
+        sigma, srgb, name=name, density_limit=max(16.0, 2 * sigma))
+
+
+def grey(value):
+    return {"type": "rgb", "value": value}
+
+
+def diffuse(reflectance, transform):
+    bsdf = {"type": "twosided", "b": {"type": "diffuse", "reflectance": grey(reflectance)}}
+    return {"type": "rectangle", "to_world": transform, "bsdf": bsdf}
+
+
+def glowing(radiance, transform):
+    return {"type": "rectangle", "to_world": transform, "bsdf": {"type": "diffuse", "reflectance": grey(0.0)},
+            "emitter": {"type": "area", "radiance": grey(radiance)}}
+
+
+def scene_of(integrator="ndf_path", size=24, origin=(0, 0, 2.0), shapes=None, background=None, sampler="independent", **options):
+    light = {} if background is None else {"light": {"type": "constant", "radiance": grey(background)}}
+    return mi.load_dict({
+        "type": "scene",
+        "integrator": {"type": integrator, **options},
+        "sensor": {
+            "type": "perspective", "fov": 28, "near_clip": 1e-3,
+            "to_world": T().look_at(list(origin), [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
+            "sampler": {"type": sampler},
+        },
+        **light, **(shapes or {}),
+    })
+
+
+def rays(origins, directions):
+    o, d = np.broadcast_arrays(np.asarray(origins, np.float32), np.asarray(directions, np.float32))
+    d = d / np.linalg.norm(d, axis=1, keepdims=True)
+    return mi.Ray3f(mi.Point3f(np.ascontiguousarray(o.T)), mi.Vector3f(np.ascontiguousarray(d.T, dtype=np.float32)))
+
+
+def radiance(scene, origins, directions, spp=1, seed=0):
+    """(N, 3) mean radiance along rays."""
+    ray = rays(np.repeat(origins, spp, 0), np.repeat(directions, spp, 0))
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, dr.width(ray.d))
+    L = scene.integrator().sample(dr.ADMode.Primal, scene, sampler, ray)[0]
+    return np.moveaxis(mi.Color3f(L).numpy(), 0, -1).reshape(len(origins), spp, 3).mean(1)
+
+
+def chord(o, d, centre=(0, 0, 0), end=np.inf):
+    """Length of rays' way through the band of the ball, up to a distance; float64."""
+    o, d = np.asarray(o, np.float64) - centre, np.asarray(d, np.float64)
+    d = d / np.linalg.norm(d, axis=-1, keepdims=True)
+    middle = -(o * d).sum(-1)
+    apart2 = (o * o).sum(-1) - middle**2
+
+    def within(radius):
+        half = np.sqrt(np.maximum(radius**2 - apart2, 0))
+        return np.clip(middle + half, 0, end) - np.clip(middle - half, 0, end)
+
+    return within(RADIUS + BAND) - within(RADIUS - BAND)
+
+
+def fan(n=200, origin=(0, 0, 2.0), spread=0.25, seed=4):
+    """Rays from one point around the direction of the ball's centre."""
+    rng = np.random.default_rng(seed)
+    origins = np.repeat(np.asarray(origin, np.float64)[None], n, 0)
+    return origins, -origins / np.linalg.norm(origin) + rng.uniform(-spread, spread, (n, 3))
+
+
+def assert_close(seen, expected, mean=3e-3, most=0.02):
+    """But for rays that graze the band, whose way through the mesh's band is not that through a ball's."""
+    error = np.abs(seen - np.broadcast_to(expected, seen.shape))
+    assert error.mean() < mean and np.quantile(error, 0.98) < most, (error.mean(), np.quantile(error, 0.98))
+
+
+# Without performers, and with nothing else.
+
+
+@pytest.mark.parametrize(("depth", "hide"), [(1, False), (2, False), (7, False), (-1, False), (2, True), (7, True)])
+def test_without_a_performer_it_is_mitsubas_path(depth, hide):
+    """To rounding: the same numbers are drawn for the same decisions."""
+    scene = mi.cornell_box()
+    scene["sensor"]["film"] |= {"width": 32, "height": 32}
+    scene["small-box"]["bsdf"] = {"type": "dielectric"}
+    scene["large-box"]["bsdf"] = {"type": "roughconductor"}
+    scene["back"] = {"type": "sphere", "radius": 0.2}
+    scene |= {"sun": {"type": "directional", "direction": [1, -2, -1]}, "sky": {"type": "constant", "radiance": grey(0.3)},
+              "lamp": {"type": "point", "position": [0.5, 0, 0.5], "intensity": 0.3}}
+    if hide:
+        # Only the sky: what is behind a hidden area emitter, `path` sees along a ray moved sideways.
+        del scene["light"]
+    else:
+        # Hiding emitters, `path` drops light that was scattered where a mask is then passed.
+        scene["back"]["bsdf"] = {"type": "mask", "opacity": 0.5, "cover": {"type": "diffuse"}}
+    integrators = [{"type": name, "max_depth": depth, "hide_emitters": hide} for name in ("path", "ndf_path")]
+    images = [mi.render(mi.load_dict({**scene, "integrator": integrator}), spp=16, seed=3).numpy() for integrator in integrators]
+    assert images[0].max() > 0.1
+    # A direction that rounding turns may take another branch.
+    different = np.abs(images[0] - images[1]) > 1e-3
+    assert different.mean() < 2e-3 and abs(images[0].mean() - images[1].mean()) < 1e-3 * images[0].mean()
+
+
+def test_hidden_emitters_are_gone_and_performers_before_them_are_not(constant):
+    """The environment is black, not its light; what is behind an area emitter is where it is."""
+    run = constant(srgb=(0.7, 0.4, 0.2))
+    wall = {"wall": glowing(3.0, T().translate([0, 0, -1]).scale(3)), "behind": diffuse(0.5, T().translate([0, 0, -2]).scale(9))}
+    for more, background in (({}, 1.0), (wall, None)):
+        scene = scene_of(shapes={"performer": performer(run), **more}, background=background, max_depth=1, samples=FINE, hide_emitters=True)
+        o, d = fan()
+        expected = (1 - np.exp(-SIGMA * chord(o, d)))[:, None] * srgb_to_linear(np.array((0.7, 0.4, 0.2)))
+        assert_close(radiance(scene, o, d), expected)
+
+
+@pytest.mark.parametrize("origin", [(0, 0, 2.0), (0.1, 0.05, 0.36), (0, 0, 0.1)], ids=["outside", "in the band", "in the hollow"])
+@pytest.mark.parametrize("stratified", [False, True])
+def test_alone_a_performer_is_what_ndf_quadrature_shows(constant, stratified, origin):
+    shapes = {"performer": performer(constant(srgb=(0.7, 0.4, 0.2)))}
+    options = dict(samples=32, stratified=stratified, shapes=shapes, background=0.25, origin=origin, aovs="depth,opacity")
+    expected, image = (mi.render(scene_of(name, **options), spp=4, seed=1).numpy() for name in ("ndf_quadrature", "ndf_path"))
+    assert expected.std() > 0.01
+    np.testing.assert_allclose(image, expected, atol=1e-5)
+
+
+def test_a_field_that_varies_is_what_ndf_quadrature_shows(make_run):
+    run = make_run(density_bias=0.0, density_gain=12.0)
+    expected, image = (mi.render(scene_of(name, shapes={"performer": performer(run)}, background=0.25), spp=4).numpy()
+                       for name in ("ndf_quadrature", "ndf_path"))
+    np.testing.assert_allclose(image, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("sampler", ["independent", "multijitter"])
+def test_passes_have_the_mean_of_one(constant, monkeypatch, sampler):
+    from ndf_mi.plugins import ndf_path
+
+    shapes = {"performer": performer(constant()), "floor": diffuse(0.5, T().translate([0, -0.5, 0]).rotate([1, 0, 0], -90))}
+    scene = scene_of(size=8, shapes=shapes, background=1.0, sampler=sampler, samples=32, aovs="opacity")
+    whole = mi.render(scene, spp=64).numpy()
+    monkeypatch.setattr(ndf_path, "PATHS_AT_ONCE", 8 * 8 * 20)
+    parts = mi.render(scene, spp=64).numpy()
+    assert parts.shape == whole.shape and not np.array_equal(parts, whole) or sampler == "multijitter"
+    np.testing.assert_allclose(parts.mean((0, 1)), whole.mean((0, 1)), rtol=0.02)
+    np.testing.assert_allclose(np.array(scene.sensors()[0].film().bitmap())[..., 0], parts[..., 0], rtol=1e-5)
+
+
+# Surfaces and segments.
+
+
+@pytest.mark.parametrize("z", [-1.0, 0.6, 0.0, 0.33], ids=["behind", "before", "through the middle", "through the band"])
+def test_surfaces_hide_and_are_hidden(constant, z):
+    srgb = (0.7, 0.4, 0.2)
+    wall = glowing(2.0, T().translate([0, 0, z]).scale(3))
+    scene = scene_of(shapes={"performer": performer(constant(srgb=srgb)), "wall": wall}, samples=FINE, max_depth=1)
+    o, d = fan()
+    unit = d / np.linalg.norm(d, axis=1, keepdims=True)
+    transmittance = np.exp(-SIGMA * chord(o, d, end=(z - 2.0) / unit[:, 2]))[:, None]
+    expected = (1 - transmittance) * srgb_to_linear(np.array(srgb)) + 2.0 * transmittance
+    assert_close(radiance(scene, o, d), expected)
+
+
+def test_a_mirror_shows_what_the_mirrored_camera_sees(make_run):
+    run = make_run(density_bias=0.0, density_gain=12.0)
+    mirror = {"type": "rectangle", "to_world": T().translate([-0.8, 0, 0]).rotate([0, 1, 0], 90).scale(2),
+              "bsdf": {"type": "conductor", "material": "none"}}
+    both = scene_of(shapes={"performer": performer(run), "mirror": mirror}, background=0.3, max_depth=2, samples=FINE)
+    alone = scene_of(shapes={"performer": performer(run)}, background=0.3, samples=FINE)
+    mirrored_o, mirrored_d = fan(origin=(-2.6, 0, 1.5), spread=0.12)
+    flip = np.array([-1.0, 1, 1])
+    o, d = mirrored_o * flip - [1.6, 0, 0], mirrored_d * flip
+    assert (chord(o, d) == 0).all()
+    seen, expected = radiance(both, o, d), radiance(alone, mirrored_o, mirrored_d)
+    assert expected.std() > 0.02
+    np.testing.assert_allclose(seen, expected, atol=1e-3)
+
+
+def test_glass_without_refraction_changes_nothing(constant):
+    """Delta lobes end segments and begin others: inside a sphere of refractive index 1 everything is as without it."""
+    run = constant(srgb=(0.7, 0.4, 0.2))
+    without = radiance(scene_of(shapes={"performer": performer(run)}, background=0.3, samples=FINE), *fan())
+    for radius in (0.8, 0.3):
+        glass = {"type": "sphere", "radius": radius, "bsdf": {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.0}}
+        scene = scene_of(shapes={"performer": performer(run), "glass": glass}, background=0.3, samples=FINE)
+        assert_close(radiance(scene, *fan()), without)
+
+
+# Light.
+
+
+def floor_points(n=150):
+    rng = np.random.default_rng(5)
+    points = np.stack([rng.uniform(-0.7, 0.7, n), np.full(n, -0.5), rng.uniform(-0.7, 0.7, n)], 1)
+    return points, points + [0, 0.05, 0], np.repeat([[0.0, -1.0, 0.0]], n, 0)
+
+
+FLOOR = T().translate([0, -0.5, 0]).rotate([1, 0, 0], -90).scale(3)
+
+
+@pytest.mark.parametrize("light", ["directional", "point"])
+def test_shadows_on_a_floor_are_the_transmittance_to_the_light(constant, light):
+    reflectance = 0.6
+    run = constant(srgb=(1e-6,) * 3)
+    at, towards = np.array([0.3, 1.2, -0.2]), np.array([0.4, 1.0, 0.2]) / np.linalg.norm([0.4, 1.0, 0.2])
+    emitter = ({"type": "directional", "direction": list(-towards), "irradiance": grey(3.0)} if light == "directional"
+               else {"type": "point", "position": list(at), "intensity": grey(3.0)})
+    shapes = {"performer": performer(run), "floor": diffuse(reflectance, FLOOR), "light": emitter}
+    scene = scene_of(shapes=shapes, max_depth=2, samples=FINE)
+    points, o, d = floor_points()
+    w = np.repeat(towards[None], len(points), 0) if light == "directional" else at - points
+    distance = np.linalg.norm(w, axis=1)
+    power = 3.0 if light == "directional" else 3.0 / distance**2
+    irradiance = power * (w[:, 1] / distance) * np.exp(-SIGMA * chord(points, w))
+    # 5 cm of way to the floor, beside the band.
+    expected = reflectance / np.pi * irradiance * np.exp(-SIGMA * chord(o, d, end=0.05))
+    seen = radiance(scene, o, d)
+    assert expected.min() < 0.5 * expected.max()
+    assert_close(seen / expected.max(), expected[:, None] / expected.max())
+
+
+@pytest.mark.parametrize("light", ["constant", "area", "rough"])
+def test_in_a_furnace_everything_is_as_bright(constant, light):
+    """A performer that emits radiance 1, in surroundings that do: whatever is emitted, absorbed, sampled either way or
+    scattered by a floor, which sees no part of itself, adds up to reflectance times 1."""
+    run = constant(srgb=(0.99999,) * 3)
+    if light == "area":
+        # From within, a sphere that emits: an area emitter, met by chance and sampled.
+        surroundings = {"type": "sphere", "radius": 5.0, "flip_normals": True, "bsdf": {"type": "diffuse", "reflectance": grey(0.0)},
+                        "emitter": {"type": "area", "radiance": grey(1.0)}}
+    else:
+        surroundings = {"type": "constant", "radiance": grey(1.0)}
+    floor = diffuse(0.6, FLOOR)
+    if light == "rough":
+        floor["bsdf"]["b"] = {"type": "blendbsdf", "weight": 0.5, "a": {"type": "diffuse", "reflectance": grey(0.6)},
+                              "b": {"type": "diffuse", "reflectance": grey(0.6)}}
+    scene = scene_of(shapes={"performer": performer(run), "floor": floor, "surroundings": surroundings}, max_depth=2, samples=32)
+    points, o, d = floor_points(40)
+    seen = radiance(scene, o, d, spp=256)
+    transmittance = np.exp(-SIGMA * chord(o, d, end=0.05))[:, None]
+    expected = 0.6 * transmittance + (1 - transmittance)
+    np.testing.assert_allclose(seen.mean(0), expected.mean(), rtol=5e-3)
+    assert np.abs(seen - expected).max() < 0.06
+
+
+def test_a_performers_light_on_a_floor(constant):
+    """An opaque ball of radiance 1 gives the irradiance π (R/h)² cos θ of a sphere wholly above the horizon."""
+    run = constant(400.0, (0.99999,) * 3)
+    scene = scene_of(shapes={"performer": performer(run), "floor": diffuse(0.5, FLOOR)}, max_depth=2, samples=32)
+    points, o, d = floor_points(12)
+    seen = radiance(scene, o, d, spp=1024)[:, 0]
+    distance = np.linalg.norm(points, axis=1)
+    expected = 0.5 * ((RADIUS + BAND) / distance) ** 2 * (0.5 / distance)
+    np.testing.assert_allclose(seen.mean(), expected.mean(), rtol=0.03)
+    np.testing.assert_allclose(seen, expected, atol=0.03)
+
+
+# Several performers.
+
+
+def placed(run, shift):
+    """The run with its performer elsewhere: nothing of a field but its colours' directions and normals is of the world."""
+    run.poses.vertices[:] += np.asarray(shift, np.float32)
+    run.save()
+    return run
+
+
+@pytest.mark.parametrize("shift", [(0.2, 0, -1.0), (-0.1, 0, 1.0), (0.1, 0.05, -0.2)], ids=["behind", "before", "overlapping"])
+def test_two_performers(constant, shift):
+    """In whichever order the scene names them, against a sum in float64."""
+    srgb, densities, centres = [(0.9, 0.3, 0.1), (0.1, 0.3, 0.9)], (5.0, 8.0), (np.zeros(3), np.array(shift))
+    first, second = (placed(constant(density, c, name=f"run{density}"), centre)
+                     for density, c, centre in zip(densities, srgb, centres, strict=True))
+    o, d = fan(150, origin=(0, 0, 3.0), spread=0.12)
+    unit = d / np.linalg.norm(d, axis=1, keepdims=True)
+    nodes = np.linspace(0, 6, 4001)
+    x = o[:, None] + unit[:, None] * ((nodes[1:] + nodes[:-1]) / 2)[None, :, None]
+    sigma = np.stack([s * (np.abs(np.linalg.norm(x - c, axis=-1) - RADIUS) < BAND) for s, c in zip(densities, centres, strict=True)], -1)
+    tau = np.cumsum(sigma.sum(-1) * np.diff(nodes), 1)
+    through = np.exp(-np.concatenate([np.zeros((len(o), 1)), tau], 1))
+    share = (through[:, :-1] - through[:, 1:])[..., None] * sigma / np.maximum(sigma.sum(-1, keepdims=True), 1e-9)
+    expected = share.sum(1) @ srgb_to_linear(np.array(srgb)) + 0.2 * through[:, -1:]
+    for shapes in ({"a": performer(first), "b": performer(second)}, {"b": performer(second), "a": performer(first)}):
+        assert_close(radiance(scene_of(shapes=shapes, background=0.2, samples=FINE), o, d), expected)
+
+
+def test_one_performer_in_several_shapes_counts_once(constant):
+    run = constant()
+    again = {"type": "ndf", "run": str(run.path / ".." / run.path.name)}
+    inner = {"type": "sphere", "radius": 0.25, "bsdf": {"type": "null"}, "interior": again, "exterior": again}
+    one, two, three = (mi.render(scene_of(shapes={"outer": performer(run), **more}, background=1.0, samples=32), spp=4).numpy()
+                       for more in ({}, {"inner": inner}, {"other": performer(run, frame=1)}))
+    np.testing.assert_allclose(one, two, atol=1e-6)
+    # Another frame is another performer.
+    assert np.abs(one - three).max() > 0.05
+
+
+def test_layers_of_nested_shells_are_one_performer(make_run):
+    from types import SimpleNamespace
+
+    from ndf_mi.render.transport_scene import performers
+
+    world = scene_of(shapes={"performer": performer(make_run())})
+    shell = world.shapes()[0]
+    layers = [SimpleNamespace(field=shell.interior_medium(), index=index) for index in range(3)]
+    shapes = [SimpleNamespace(interior_medium=lambda i=i: layers[i], exterior_medium=lambda i=i: layers[i - 1] if i else None,
+                              bsdf=shell.bsdf, id=shell.id) for i in range(3)]
+    assert len(performers(SimpleNamespace(shapes=lambda: shapes, sensors=world.sensors), "test")) == 1
+
+
+def test_the_scale_of_a_medium_is_a_factor_on_its_density(constant):
+    single, double = (constant(sigma, name=f"run{sigma}") for sigma in (4.0, 8.0))
+    scaled, plain = (radiance(scene_of(shapes={"a": performer(run, scale=scale)}, background=1.0, samples=FINE), *fan())
+                     for run, scale in ((single, 2.0), (double, 1.0)))
+    np.testing.assert_allclose(scaled, plain, atol=1e-3)
+
+
+# Cost.
+
+
+def test_nothing_is_compiled_anew_and_what_misses_is_not_evaluated(constant):
+    run = constant()
+    shapes = {"performer": performer(run), "floor": diffuse(0.5, FLOOR), "lamp": {"type": "point", "position": [1, 2, 1]}}
+    scene = scene_of(shapes=shapes, background=0.2, max_depth=5, samples=32)
+    for seed in range(2):
+        mi.render(scene, spp=4, seed=seed)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        mi.render(scene, spp=4, seed=9)
+        assert sum(not kernel["cache_hit"] for kernel in dr.kernel_history([dr.KernelType.JIT])) == 0
+    away = scene_of(shapes={"performer": performer(run)}, background=0.2, origin=(0, 0, 2.0))
+    assert radiance(away, [[0.0, 0, 2]], [[0.0, 0, 1]]) == pytest.approx(0.2)
+    assert away.integrator().transport.evaluated == 0
+
+
+# Gradients.
+
+
+@pytest.mark.parametrize("key", ["weights", "pose"])
+def test_gradients_agree_with_finite_differences(make_run, key):
+    """Through the direct view, a mirror and shadows, along fixed paths."""
+    run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16)
+    run.model.field.grid = run.model.field.grid * 5e3
+    run.save()
+    mirror = {"type": "rectangle", "to_world": T().translate([-0.6, 0, 0]).rotate([0, 1, 0], 60).scale(2),
+              "bsdf": {"type": "conductor", "material": "none"}}
+    lamp = {"type": "point", "position": [0.2, 1, 0.5]}
+    shapes = {"performer": performer(run), "mirror": mirror, "floor": diffuse(0.6, FLOOR), "lamp": lamp}
+    # Roulette's decisions would depend on the density.
+    scene = scene_of(shapes=shapes, background=0.3, samples=32, max_depth=3, rr_depth=9)
+    params = mi.traverse(scene)
+    name = f"performer.interior_medium.{key}"
+    start = params[name].numpy().astype(np.float64)
+    origins, directions = fan(600, spread=0.4)
+    directions[:, 1] -= 0.1
+    colour = mi.Color3f(np.random.default_rng(1).uniform(0, 1, (3, 600)).astype(np.float32))
+
+    def value(at, mode=dr.ADMode.Primal):
+        params[name] = mi.Float(at.astype(np.float32))
+        if mode != dr.ADMode.Primal:
+            dr.enable_grad(params[name])
+        params.update()
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(1, 600)
+        L = scene.integrator().sample(mode, scene, sampler, rays(origins, directions))[0]
+        return dr.sum(dr.sum(mi.Color3f(L) * colour))
+
+    dr.backward(value(start, dr.ADMode.Backward))
+    gradient = dr.grad(params[name]).numpy().astype(np.float64)
+    assert np.isfinite(gradient).all() and np.abs(gradient).max() > 0
+    rng = np.random.default_rng(7)
+    size = {"weights": 3e-4, "pose": 1e-3}[key]
+    for _ in range(2):
+        direction = size * rng.uniform(0, 1, gradient.size) * np.sign(gradient)
+        ahead, behind = (float(value(start + sign * direction)[0]) for sign in (1, -1))
+        assert (ahead - behind) / 2 == pytest.approx(float(gradient @ direction), rel=1e-2)
+
+
+def test_training_through_mi_render_goes_down(make_run):
+    aim, scene = (scene_of(shapes={"p": performer(make_run(name, seed=seed, density_bias=0.0))}, background=1.0, size=8, samples=32)
+                  for name, seed in (("target", 5), ("start", 1)))
+    target = mi.render(aim, spp=64).numpy()
+    params = mi.traverse(scene)
+    optimiser = mi.ad.Adam(lr=1e-2)
+    optimiser["p.interior_medium.weights"] = params["p.interior_medium.weights"]
+    losses = []
+    for step in range(12):
+        params.update(optimiser)
+        loss = dr.mean(dr.square(mi.render(scene, params, spp=16, seed=step) - mi.TensorXf(target)), axis=None)
+        dr.backward(loss)
+        optimiser.step()
+        losses.append(float(loss.array[0]))
+    assert losses[-1] < 0.8 * losses[0]
+
+
+def test_gradients_of_anything_else_are_refused(make_run):
+    scene = scene_of(shapes={"p": performer(make_run()), "floor": diffuse(0.5, FLOOR)}, background=1.0, size=4, samples=16)
+    params = mi.traverse(scene)
+    key = "floor.bsdf.brdf_0.reflectance.value"
+    dr.enable_grad(params[key])
+    params.update()
+    with pytest.raises(InputError, match="reflectance"):
+        dr.backward(dr.sum(mi.render(scene, params, spp=1), axis=None))
+
+
+# Users' mistakes.
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"max_depth": 0}, "max_depth"), ({"max_depth": -2}, "max_depth"), ({"rr_depth": 0}, "rr_depth"), ({"samples": 0}, "samples"),
+    ({"aovs": "albedo"}, "depth, opacity"), ({"sample": 3}, "sample"),
+])
+def test_wrong_options_are_named(change, words):
+    with pytest.raises(Exception, match=words):
+        mi.load_dict({"type": "ndf_path", **change})
+
+
+def test_other_media_are_refused(make_run):
+    fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous", "sigma_t": 1.0}}
+    with pytest.raises(InputError, match="the shape 'fog'.*omogeneous"):
+        render_scene(scene_of(shapes={"performer": performer(make_run()), "fog": fog}, background=1.0, size=4))
+
+
+def test_a_shell_that_lets_nothing_through_is_refused(make_run):
+    with pytest.raises(InputError, match="the shape 'performer'.*null"):
+        render_scene(scene_of(shapes={"performer": performer(make_run(), bsdf="diffuse")}, background=1.0, size=4))
