@@ -106,6 +106,20 @@ def test_mending_unfolds_what_is_folded_and_nothing_else():
     np.testing.assert_array_equal(mended[far], offsets[far])
 
 
+def test_mending_goes_back_to_what_was_sound_and_no_further():
+    """A slope that was there before a fold stays in the fold's place."""
+    vertices, faces = grid()
+    sound = np.zeros_like(vertices)
+    sound[:, 2] = 0.2 * vertices[:, 0]
+    offsets = sound + [0.0, 0.0, 0.01]
+    offsets[40, :2] += [0.3, 0.1]
+    mended = mend(vertices, offsets, faces, sound)
+    assert not unsound(vertices, mended, faces).any()
+    assert np.abs(mended - sound).max() < 0.011 and (mended[40] == sound[40]).all()
+    # Where nothing can be kept, everything goes back.
+    np.testing.assert_array_equal(mend(vertices, vertices * [-2.0, 0.0, 0.0], faces, sound), sound)
+
+
 def capture_of(body: Body, poses: Poses) -> SimpleNamespace:
     return SimpleNamespace(body=body, poses=poses, splits={"train": Split(("c",), (0,))})
 

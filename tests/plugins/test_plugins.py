@@ -15,8 +15,8 @@ SCENES = Path(__file__).parents[2] / "scenes"
 BAND, RADIUS = 0.08, 0.3
 
 
-def scene_of(run, integrator="ndf_quadrature", background=1.0, size=24, shell=True, origin=(0, 0, 2.0), **more):
-    medium = {"type": "ndf", "run": str(run.path), "frame": 0}
+def scene_of(run, integrator="ndf_quadrature", background=1.0, size=24, shell=True, origin=(0, 0, 2.0), scale=1.0, **more):
+    medium = {"type": "ndf", "run": str(run.path), "frame": 0, "scale": scale}
     shape = {"type": "ndf_shell", "run": str(run.path), "frame": 0} if shell else {
         "type": "cube", "to_world": mi.ScalarTransform4f().scale(RADIUS + BAND + 0.01)}
     return mi.load_dict({
@@ -60,11 +60,12 @@ def test_volpath_agrees_with_the_closed_form_of_absorption(make_constant_run):
     assert np.abs(images.mean(0) - expected).max() < 0.08
 
 
-def test_quadrature_agrees_with_the_closed_form_of_emission(make_constant_run):
+@pytest.mark.parametrize("scale", [1.0, 2.5])
+def test_quadrature_agrees_with_the_closed_form_of_emission(make_constant_run, scale):
     sigma, size = 6.0, 24
     srgb = (0.7, 0.4, 0.2)
-    run = make_constant_run(sigma, srgb=srgb)
-    scene = scene_of(run, size=size, samples=600, background=0.25)
+    run = make_constant_run(sigma / scale, srgb=srgb)
+    scene = scene_of(run, size=size, samples=600, background=0.25, scale=scale)
     image = mi.render(scene, spp=64).numpy()
     fine = pixel_distances(scene, size * 8).reshape(size, 8, size, 8)
     transmittance = np.exp(-sigma * chord(fine)).mean(axis=(1, 3))

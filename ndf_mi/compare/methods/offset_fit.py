@@ -42,7 +42,7 @@ class OffsetFit(TextureFit):
 
     A step takes the gradient of the images' error through what is seen at each sample and through the motion of the
     contours (`contour`), pulls it back to rest (`rest`) and goes along it smoothed (`smoothing`). Every `MEND_STEPS`
-    steps triangles that turned over are mended (`soundness`).
+    steps the surroundings of triangles that turned over go back to what they were the last time (`soundness`).
 
     Args:
         surface: the posed body; its vertices and texture change as training goes.
@@ -73,12 +73,13 @@ class OffsetFit(TextureFit):
         self._random = np.random.default_rng([seed, 1])
         self._pixel = _pixel_size(capture)
         self._smooth = SmoothOffsets(rest.vertices, self._faces)
+        self._sound = self._smooth.offsets.copy()
         self._first_offset_rate = self._offset_rate = offset_rate
         self.set_rate(rate)
 
     def offsets(self) -> np.ndarray:
         """(V, 3) float32 metres at rest, with every triangle sound."""
-        return mend(self._rest.vertices, self._smooth.offsets, self._faces).astype(np.float32)
+        return mend(self._rest.vertices, self._smooth.offsets, self._faces, self._sound).astype(np.float32)
 
     def set_rate(self, rate: float) -> None:
         """Changes the texture's learning rate from the next step on, the offsets' in proportion, and the smoothing."""
@@ -120,8 +121,10 @@ class OffsetFit(TextureFit):
         smooth = self._smooth
         strain = STRAIN_WEIGHT * smooth.strain()[1]
         smooth.step(self._rest.pull_back(frame, gradient) + strain, self._offset_rate)
-        if self.steps % MEND_STEPS == 0 and unsound(self._rest.vertices, smooth.offsets, self._faces).any():
-            smooth.replace(mend(self._rest.vertices, smooth.offsets, self._faces))
+        if self.steps % MEND_STEPS == 0:
+            if unsound(self._rest.vertices, smooth.offsets, self._faces).any():
+                smooth.replace(mend(self._rest.vertices, smooth.offsets, self._faces, self._sound))
+            self._sound = smooth.offsets.copy()
 
 
 def best_offset_rate(

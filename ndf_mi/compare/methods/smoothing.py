@@ -77,11 +77,15 @@ class SmoothOffsets:
             self._matrix = sparse.csc_matrix(sparse.diags(self._areas) + length**2 * self._stiffness)
             self._factors = splu(self._matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
             self.replace(self.offsets)
+            self._restart()
 
     def replace(self, offsets: np.ndarray) -> None:
-        """Sets the offsets, (V, 3) metres; u follows, the moments start anew."""
+        """Sets the offsets, (V, 3) metres; u follows, the moments stay."""
         self.offsets = np.array(offsets, dtype=np.float64)
         self._latent = self._matrix @ self.offsets / self._areas[:, None]
+
+    def _restart(self) -> None:
+        """Moments of nothing."""
         self._first = np.zeros_like(self.offsets)
         self._second = np.zeros_like(self.offsets)
         self._steps = 0

@@ -7,8 +7,6 @@ import scipy.sparse as sparse
 
 #: A triangle's shape may fall to this, or to this share of what it was, whichever is lower.
 MIN_SHAPE = 0.05
-#: Rings of neighbours around what is unsound grow after so many rounds of smoothing.
-_ROUNDS_A_RING = 4
 
 
 def shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -30,22 +28,28 @@ def unsound(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarray) -> np.ndar
     return turned | (shapes(now, faces) < MIN_SHAPE * np.minimum(1, shapes(rest, faces)))
 
 
-def mend(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Offsets, (V, 3), under which no triangle is unsound: averaged with their neighbours around those that are.
+def mend(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarray, sound: np.ndarray | None = None) -> np.ndarray:
+    """Offsets, (V, 3), under which no triangle is unsound: around those that are, what they were before.
 
-    The region that is smoothed grows until nothing is left to mend, which ends, because equal offsets turn nothing.
-    Intersections of parts of the surface that are far apart along it are not looked for.
+    The region that goes back grows until nothing is left to mend, which ends, because offsets that were sound everywhere are so
+    again at the latest when all have gone back. Averaging with neighbours in place of going back could flatten much of the
+    body for the sake of one finger. Intersections of parts of the surface that are far apart along it are not looked for.
+
+    Args:
+        rest, offsets: (V, 3) metres.
+        faces: (F, 3).
+        sound: (V, 3) offsets to go back to, under which no triangle is unsound; none at all by default.
     """
     neighbours = _averaging(faces, len(rest))
     offsets = np.array(offsets, dtype=np.float64, order="C")
+    back = np.zeros_like(offsets) if sound is None else sound
     region = np.zeros(len(rest), dtype=bool)
-    rounds = 0
     while (bad := unsound(rest, offsets, faces)).any():
         region[faces[bad]] = True
-        if rounds % _ROUNDS_A_RING == 0:
-            region = region | (neighbours @ region > 0)
-        offsets[region] = (0.5 * offsets + 0.5 * (neighbours @ offsets))[region]
-        rounds += 1
+        region = region | (neighbours @ region > 0)
+        if region.all():
+            return np.array(back, dtype=np.float64)
+        offsets[region] = back[region]
     return offsets
 
 
