@@ -9,10 +9,24 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel
+from ndf_mi.render.nested import Majorants
 from ndf_mi.run import Run
+
+_PARAMETERS = {"weights": None, "grid": None, "vertices": None, "pose": None}.keys()
+"""What the medium exposes, in this order."""
+
+_MOVED = (
+    "the body has moved, and {share:.2g} % of its band lie outside the shells and are not seen. Shells stay where they were made: "
+    "load the scene anew at this pose."
+)
+_EXCEEDED = (
+    "{excess}. Majorants were raised to hold there, but the estimate has missed fine structure: give the `ndf_shell` a smaller "
+    "`cell`, or leave `layers` out for the majorant that holds by construction."
+)
 
 
 def find_run(path: str) -> Path:
@@ -64,10 +78,13 @@ def register() -> None:
            - The posed body's vertices (flat, metres) and the pose vector (flat axis-angles, radians).
            - |exposed|, |differentiable|
 
-        - Works under ``volpath``, ``volpathmis``, ``prbvolpath`` and ``ndf_quadrature``.
-        - The majorant is one number, above every density by construction of the density's activation.
+        - Works under ``volpath``, ``volpathmis``, ``prbvolpath`` and ``ndf_quadrature``. Integrators that know no media (``path``,
+          ``direct``) see nothing of it: :func:`ndf_mi.render.nested_check.faults` tells.
+        - The majorant is one number, above every density by construction of the density's activation. An ``ndf_shell`` with
+          ``layers`` gives it local ones, estimated from samples.
         - The density is zero outside the band; bound the medium by ``ndf_shell``, or by any closed shape around the band.
         - Does not move a shape around it: after a change of ``vertices``, make a new ``ndf_shell``.
+        - A sensor inside the medium names it as its own (``<ref id="…"/>``); ``prbvolpath`` begins outside of media all the same.
         """
 
         def __init__(self, props: mi.Properties) -> None:
@@ -87,7 +104,10 @@ def register() -> None:
             # A literal would be compiled into every kernel, and again at each new value.
             dr.make_opaque(self.weights, self.grid, self.vertices, self.pose)
             self._surface = self.run.model.surface.pose(self.vertices, self.run.model.band)
+            self._nested: Majorants | None = None
+            self._told: set[str] = set()
             self._bind()
+            self.majorant = dr.opaque(mi.Float, self._model.majorant * self.scale)
 
         def posed(self) -> PosedModel:
             """The field with the parameters that the medium has now; gradients flow to them."""
@@ -102,31 +122,126 @@ def register() -> None:
 
         def traverse(self, callback: Any) -> None:
             super().traverse(callback)
-            for name in ("weights", "grid", "vertices", "pose"):
+            for name in _PARAMETERS:
                 if getattr(self, name) is not None:
                     callback.put(name, getattr(self, name), mi.ParamFlags.Differentiable)
 
         def parameters_changed(self, keys: list[str]) -> None:
-            if not keys or "vertices" in keys:
+            moved = not keys or "vertices" in keys
+            if moved:
                 self._surface = self.run.model.surface.pose(self.vertices, self.run.model.band)
             self._bind()
+            if self._nested is not None and (not keys or not _PARAMETERS.isdisjoint(keys)):
+                self._follow(moved)
+
+        def nest(self, layers: int, cell: float) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[mi.Medium]]:
+            """Nested shells around the field as it is now, and the medium between each and the next.
+
+            Args:
+                layers: number of shells at most.
+                cell: spacing in metres of the grid that they are cut from.
+
+            Returns:
+                the shells from the outermost on, as vertices and faces, and as many media. These share the field's parameters with this
+                one, which the first exposes, and its phase function; their majorants follow changes of the parameters.
+            """
+            if self._nested is not None:
+                raise InputError("ndf_shell", "an `ndf` medium that is inside another `ndf_shell`", "a medium of its own for each")
+            self._nested = Majorants(self.run.model, self._model, self.vertices, layers, cell)
+            self._adopt()
+            return self._nested.layers.shells, [NDFLayer(self, index) for index in range(len(self._nested.values))]
+
+        def _follow(self, moved: bool) -> None:
+            """New majorants between the same shells: while gradients are wanted the one by construction, as weights change all the time."""
+            assert self._nested is not None
+            if moved:
+                left_out = self._nested.left_out(self.vertices)
+                if left_out > 0:
+                    self._warn("moved", _MOVED.format(share=100 * left_out))
+            if any(dr.grad_enabled(value) for name in _PARAMETERS if (value := getattr(self, name)) is not None):
+                self._set_majorants([self._model.majorant] * len(self._nested.values))
+                return
+            self._nested.update(self._model, self.vertices if moved else None)
+            self._adopt()
+
+        def _set_majorants(self, values: list[float]) -> None:
+            self.layer_majorants = [dr.opaque(mi.Float, value * self.scale) for value in values]
+
+        def _adopt(self) -> None:
+            assert self._nested is not None
+            self._set_majorants(self._nested.values)
+            if self._nested.excess is not None:
+                self._warn("exceeded", _EXCEEDED.format(excess=self._nested.excess))
+
+        def _warn(self, kind: str, text: str) -> None:
+            """Says something once."""
+            if kind not in self._told:
+                self._told.add(kind)
+                mi.Log(mi.LogLevel.Warn, f"ndf: {self.run.path}, frame {self.frame}: {text}")
 
         def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
             return self._model.bbox.ray_intersect(ray)
 
         def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
-            return mi.UnpolarizedSpectrum(self._model.majorant * self.scale)
+            return mi.UnpolarizedSpectrum(self.majorant)
 
         def get_scattering_coefficients(
             self, mei: mi.MediumInteraction3f, active: mi.Bool = True
         ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
+            return self.coefficients(mei, self.majorant, active)
+
+        def coefficients(
+            self, mei: mi.MediumInteraction3f, majorant: mi.Float, active: mi.Bool = True
+        ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
+            """(σ_s, σ_n, σ_t) in 1/m, where σ_n is what is missing to the majorant."""
             sample = self._model.fused(mei.p, -mei.wi, active)
             extinction = sample.sigma * self.scale
-            majorant = self._model.majorant * self.scale
             return (mi.UnpolarizedSpectrum(extinction * sample.colour), mi.UnpolarizedSpectrum(majorant - extinction),
                     mi.UnpolarizedSpectrum(extinction))
 
         def to_string(self) -> str:
-            return f"NDFMedium[\n  run = {self.run.path},\n  frame = {self.frame},\n  majorant = {self._model.majorant * self.scale}\n]"
+            return f"NDFMedium[\n  run = {self.run.path},\n  frame = {self.frame},\n  majorant = {self.majorant[0]:.4g}\n]"
+
+    class NDFLayer(mi.Medium):
+        """What lies between two nested shells of an ``ndf`` medium: the same field under a majorant of its own. Made by ``ndf_shell``."""
+
+        def __init__(self, field: NDFMedium, index: int) -> None:
+            props = mi.Properties("ndf")
+            props["phase"] = field.phase_function()
+            props["sample_emitters"] = field.use_emitter_sampling()
+            super().__init__(props)
+            self.m_is_homogeneous = False
+            self.m_has_spectral_extinction = False
+            self.index = index
+            self.field = field
+            if index == 0:
+                # What integrators of the package ask a medium for, once a field.
+                self.posed = field.posed
+
+        @property
+        def majorant(self) -> mi.Float:
+            """The layer's majorant in 1/m."""
+            return self.field.layer_majorants[self.index]
+
+        def traverse(self, callback: Any) -> None:
+            if self.index == 0:
+                self.field.traverse(callback)
+
+        def parameters_changed(self, keys: list[str]) -> None:
+            self.field.parameters_changed(keys)
+
+        def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
+            return self.field.intersect_aabb(ray)
+
+        def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
+            return mi.UnpolarizedSpectrum(self.majorant)
+
+        def get_scattering_coefficients(
+            self, mei: mi.MediumInteraction3f, active: mi.Bool = True
+        ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
+            return self.field.coefficients(mei, self.majorant, active)
+
+        def to_string(self) -> str:
+            return f"NDFLayer[\n  index = {self.index},\n  majorant = {self.majorant[0]:.4g},\n  field = {self.field}\n]"
 
     mi.register_medium("ndf", lambda props: NDFMedium(props))

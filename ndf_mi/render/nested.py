@@ -1,0 +1,191 @@
+"""Nested shells: closed meshes around ever denser parts of a field, between which local majorants hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.model import Model, PosedModel
+from ndf_mi.projection import Surface
+from ndf_mi.render.majorant import FLOOR, MARGIN, Bounds, bounds, densities, exceeding, random_points
+from ndf_mi.render.majorant_levels import choose_levels, expected_cost
+from ndf_mi.render.shell import Grid, Lattice, band_points, corners_of, cut, lattice, spread
+
+CHECKED = 1 << 16
+"""Random points of the band that majorants are checked at."""
+
+COVERED = 1 << 12
+"""Random points of the band that are looked for in the shells after the body has moved."""
+
+
+@dataclass(frozen=True)
+class Layers:
+    """A partition of space into layers 0, 1, …, K − 1 between nested shells: layer k lies within shell k and outside shell k + 1.
+
+    Attributes:
+        grid: the grid that the shells are cut from.
+        rank: (nx + 1, ny + 1, nz + 1) uint8, how many shells each node lies within. Neighbours differ by at most one.
+        levels: t_1 < … < t_(K−1), as chosen, in 1/m.
+        shells: K pairs of vertices (N, 3) float32 and faces (M, 3) uint32, from the outermost on; each closed, its normals pointing out.
+    """
+
+    grid: Grid
+    rank: np.ndarray
+    levels: tuple[float, ...]
+    shells: list[tuple[np.ndarray, np.ndarray]] = field(repr=False)
+
+    def majorants(self, estimate: Bounds) -> list[float]:
+        """The layers' majorants in 1/m, for estimates on this grid or on another of the same spacing."""
+        return layer_majorants(self.grid, self.rank, estimate)
+
+    def locate(self, points: np.ndarray) -> np.ndarray:
+        """(N,) int64 layers of points (N, 3); next to a shell the outer one of the two layers that may be meant; −1 where a point may be
+        outside all shells."""
+        lowest, _ = corner_ranks(self.rank)
+        return lowest[self.grid.index(points)].astype(np.int64) - 1
+
+
+def ranks(estimate: Bounds, levels: tuple[float, ...]) -> tuple[Grid, np.ndarray]:
+    """How many of the shells at some levels are around each node.
+
+    Every node that touches a cell with an estimate above t_k is within shell k, and its 26 neighbours within shell k − 1 at least:
+    the cells that shell k crosses thus lie wholly inside shell k − 1, which crosses others. So shells neither meet nor touch.
+
+    Args:
+        estimate: the field's density cell by cell.
+        levels: ascending, in 1/m; none for the outermost shell alone.
+
+    Returns:
+        the estimate's grid with a border, and the ranks of its nodes as in :class:`Layers`.
+    """
+    pad = len(levels) + 1
+    source = estimate.grid
+    nx, ny, nz = (n + 2 * pad for n in source.shape)
+    cells = np.where(estimate.band, 1 + np.searchsorted(levels, estimate.upper), 0).astype(np.uint8)
+    rank = corners_of(np.pad(cells, pad))
+    for _ in levels:
+        around = spread(rank)
+        rank = np.maximum(rank, around - (around > 0))
+    return Grid(source.low - pad * source.cell, source.cell, (nx, ny, nz)), rank
+
+
+def cut_layers(estimate: Bounds, sampled: Lattice, band: float, inside: float, levels: tuple[float, ...]) -> Layers:
+    """Nested shells at given levels.
+
+    Args:
+        estimate: the field's density cell by cell.
+        sampled: the lattice that it was made from.
+        band, inside: how far the band reaches outside and inside, in metres.
+        levels: ascending, in 1/m; none for the outermost shell alone.
+    """
+    grid, rank = ranks(estimate, levels)
+    pad = len(levels) + 1
+    outside = np.pad(sampled.at_nodes(band, inside) / grid.cell, pad, constant_values=1.0)
+    with np.errstate(divide="ignore"):
+        upper = np.log(corners_of(np.pad(estimate.upper, pad)))
+    smooth = [outside, *(np.log(level) - upper for level in levels)]
+    return Layers(grid, rank, levels, [cut(rank > k, value, grid) for k, value in enumerate(smooth)])
+
+
+def best_levels(estimate: Bounds, count: int) -> tuple[float, ...]:
+    """The levels of nested shells, `count` at most, that let rays meet few null collisions."""
+
+    def cost(levels: tuple[float, ...]) -> float:
+        grid, rank = ranks(estimate, levels)
+        return expected_cost(rank, layer_majorants(grid, rank, estimate), estimate)
+
+    return min(choose_levels(estimate, count), key=cost)
+
+
+def layer_majorants(grid: Grid, rank: np.ndarray, estimate: Bounds) -> list[float]:
+    """For each layer the largest estimate, in 1/m, of the cells that it reaches into; at least the estimates' floor."""
+    upper = _on(grid, estimate)
+    lowest, highest = corner_ranks(rank)
+    return [float(np.max(upper, where=(lowest <= k) & (k <= highest), initial=FLOOR)) for k in range(1, int(rank.max()) + 1)]
+
+
+def corner_ranks(rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest rank of each cell's corners, (nx, ny, nz)."""
+    lowest = np.uint8(255) - corners_of(np.uint8(255) - rank)
+    return lowest[1:-1, 1:-1, 1:-1], corners_of(rank)[1:-1, 1:-1, 1:-1]
+
+
+class Majorants:
+    """Nested shells of a field at one pose, and majorants between them that follow the field's changes.
+
+    Args:
+        model: the field.
+        posed: the same at its pose.
+        vertices: flat (3·V) posed positions in metres.
+        count: number of shells at most, from 1 on.
+        cell: the grid's spacing in metres.
+        margin: factor from sampled densities to estimates, above 1.
+
+    Attributes:
+        layers: the shells.
+        values: the layers' majorants in 1/m.
+        excess: what a check of other points found above the majorants that the estimate gave, if anything; they were raised.
+    """
+
+    def __init__(self, model: Model, posed: PosedModel, vertices: mi.Float, count: int, cell: float, margin: float = MARGIN) -> None:
+        self._surface: Surface = model.surface
+        self._preset = model.field.preset
+        self._margin = margin
+        self._cell = cell
+        self._checks = 0
+        self._sampled = lattice(model.surface, vertices, self._preset.band, cell)
+        estimate = bounds(posed, self._preset, self._sampled, margin)
+        levels = best_levels(estimate, count)
+        self.layers = cut_layers(estimate, self._sampled, self._preset.band, self._preset.band_inside, levels)
+        self._settle(posed, estimate)
+
+    def left_out(self, vertices: mi.Float) -> float:
+        """The share of the band of a body with these vertices that lies outside the shells, by random points: 0 for the body that they
+        were made around."""
+        posed = dr.detach(vertices).numpy().reshape(-1, 3)
+        points = band_points(self._surface, posed, self._preset.band, self._preset.band_inside, COVERED)
+        return float(np.mean(self.layers.locate(points) < 0))
+
+    def update(self, posed: PosedModel, vertices: mi.Float | None = None) -> None:
+        """Estimates the majorants anew, for a changed field between the same shells.
+
+        Args:
+            posed: the field as it is now.
+            vertices: the body's, where they have changed.
+        """
+        if vertices is not None:
+            self._sampled = lattice(self._surface, vertices, self._preset.band, self._cell)
+        self._settle(posed, bounds(posed, self._preset, self._sampled, self._margin))
+
+    def _settle(self, posed: PosedModel, estimate: Bounds) -> None:
+        values = np.array(self.layers.majorants(estimate))
+        points = random_points(estimate.grid, estimate.band, CHECKED, self._checks)
+        self._checks += 1
+        sigma, layer = densities(posed, points), self.layers.locate(points)
+        covered = layer >= 0
+        points, sigma, layer = points[covered], sigma[covered], layer[covered]
+        self.excess = exceeding(points, sigma, values[layer])
+        above = sigma > values[layer]
+        np.maximum.at(values, layer[above], np.minimum(self._margin * sigma[above], estimate.limit))
+        self.values = [float(value) for value in values]
+
+
+def _on(grid: Grid, estimate: Bounds) -> np.ndarray:
+    """The estimates on another grid of the same spacing: cells of the one that reach into a cell of the other count for it."""
+    source = estimate.grid
+    upper = np.zeros(grid.shape, dtype=np.float32)
+    offset = (source.low - grid.low) / grid.cell
+    whole = np.round(offset).astype(int)
+    aligned = bool(np.all(np.abs(offset - whole) < 1e-3))
+    for shift in np.ndindex(*((1, 1, 1) if aligned else (2, 2, 2))):
+        start = (whole if aligned else np.floor(offset).astype(int)) + shift
+        low, high = np.maximum(start, 0), np.minimum(start + source.shape, grid.shape)
+        if (high <= low).any():
+            continue
+        into = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        out_of = tuple(slice(a - s, b - s) for a, b, s in zip(low, high, start, strict=True))
+        upper[into] = np.maximum(upper[into], estimate.upper[out_of])
+    return upper

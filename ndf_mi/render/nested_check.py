@@ -1,0 +1,141 @@
+"""What is wrong with a scene that holds `ndf` media under Mitsuba's own integrators, where a picture would be wrong without a word."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.render.shell import band_points
+
+BLIND = (
+    "PathIntegrator", "DirectIntegrator", "PRBIntegrator", "BasicPRBIntegrator", "PathProjectiveIntegrator",
+    "DirectProjectiveIntegrator", "EmissionProjectiveIntegrator", "PTracerIntegrator", "ParticleTracerIntegrator", "DepthIntegrator",
+)
+"""Integrators that know surfaces only: a medium's shell, having no surface of its own, is not there for them."""
+
+OPEN = ("Rectangle", "Disk", "Cylinder", "BSplineCurve", "LinearCurve")
+"""Shapes that enclose nothing."""
+
+POINTS = 4096
+"""Points of the band that a shape is asked to contain."""
+
+MOST_HITS = 256
+"""Surfaces looked at along a ray before it is given up."""
+
+
+def faults(scene: mi.Scene) -> list[str]:
+    """Looks a scene over for what renders wrongly and silently.
+
+    - an integrator that ignores media;
+    - a shape around an `ndf` medium that is not closed, faces inward, shows a surface of its own, or leaves part of the band out;
+    - a sensor inside such a shape that names no medium, and one under `prbvolpath`, which begins outside of media whatever it names.
+
+    Args:
+        scene: as loaded.
+
+    Returns:
+        one sentence or two for each fault, what to do included; none for a scene without faults.
+    """
+    found: list[str] = []
+    holders = [shape for shape in scene.shapes() if hasattr(shape.interior_medium(), "posed")]
+    if not holders:
+        return found
+    integrator = scene.integrator()
+    kind = type(integrator).__name__ if integrator is not None else ""
+    for name in {kind, integrator.class_name() if integrator is not None else ""}:
+        if name in BLIND:
+            found.append(f"integrator: {name} knows no media, and shows nothing of the `ndf` media. Use `volpath`, `volpathmis`, "
+                         "`prbvolpath` or one of this package.")
+            break
+    for shape in holders:
+        found += _shape_faults(scene, shape)
+    for number, sensor in enumerate(scene.sensors()):
+        found += _sensor_faults(scene, number, sensor, holders, kind)
+    return found
+
+
+def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
+    """How many directed edges of a triangle mesh have no opposite one, vertices at the same place taken as one: 0 where it is closed.
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 3) integers.
+    """
+    _, same = np.unique(vertices, axis=0, return_inverse=True)
+    triangles = same.reshape(-1)[faces].astype(np.int64)
+    edges = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    count = int(same.max()) + 1
+    ahead, n_ahead = np.unique(edges[:, 0] * count + edges[:, 1], return_counts=True)
+    back, n_back = np.unique(edges[:, 1] * count + edges[:, 0], return_counts=True)
+    balance = dict(zip(ahead.tolist(), n_ahead.tolist(), strict=True))
+    return sum(max(n - balance.get(edge, 0), 0) for edge, n in zip(back.tolist(), n_back.tolist(), strict=True))
+
+
+def contains(scene: mi.Scene, shape: mi.Shape, points: np.ndarray) -> np.ndarray:
+    """Whether points (N, 3) are inside a shape of a scene: whether the first of its surfaces along +x, past all others, faces away."""
+    ray = mi.Ray3f(mi.Point3f(points.astype(np.float32).T), mi.Vector3f(1.0, 0.0, 0.0))
+    inside = dr.full(mi.Bool, False, len(points))
+    active = dr.full(mi.Bool, True, len(points))
+    wanted = mi.ShapePtr(shape)
+    for _ in range(MOST_HITS):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        own = active & (si.shape == wanted)
+        inside |= own & (dr.dot(si.n, ray.d) > 0)
+        active &= ~own
+        ray = si.spawn_ray(ray.d)
+        dr.eval(ray, inside, active)
+        if not dr.any(active):
+            break
+    return inside.numpy()
+
+
+def _shape_faults(scene: mi.Scene, shape: Any) -> list[str]:
+    name = f"shape {shape.id()!r}"
+    field = shape.interior_medium()
+    field = getattr(field, "field", field)
+    found: list[str] = []
+    if not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
+        found.append(f"{name}: has a surface of its own (BSDF {shape.bsdf().class_name()}), which hides the medium. Give it "
+                     "<bsdf type=\"null\"/>.")
+    if shape.class_name() in OPEN:
+        return [*found, f"{name}: a {shape.class_name()} encloses nothing. Use a closed shape, such as an `ndf_shell`."]
+    params = mi.traverse(shape)
+    if "vertex_positions" in params:
+        edges = open_edges(*(params[key].numpy().reshape(-1, 3) for key in ("vertex_positions", "faces")))
+        if edges:
+            return [*found, f"{name}: is not closed ({edges} open edges), so that light enters its medium without notice, or never leaves "
+                            "it. Close the mesh, or use an `ndf_shell`."]
+    preset = field.run.model.field.preset
+    points = band_points(field.run.model.surface, dr.detach(field.vertices).numpy().reshape(-1, 3), preset.band, preset.band_inside, POINTS)
+    outside = ~contains(scene, shape, points)
+    sample = field.posed().fused(mi.Point3f(points.astype(np.float32).T), mi.Vector3f(0.0, 0.0, 1.0))
+    missing = outside & (sample.sigma.numpy() > 0)
+    if missing.all():
+        found.append(f"{name}: contains nothing of the field, or faces inward. Turn the mesh's triangles round, or use an `ndf_shell`.")
+    elif missing.any():
+        x, y, z = (f"{v:.3f}" for v in points[missing][0])
+        found.append(f"{name}: leaves {100 * missing.mean():.2g} % of the field out, for instance ({x}, {y}, {z}), which is not seen. Use "
+                     "an `ndf_shell` of the same run and frame, loaded anew if the body has moved.")
+    return found
+
+
+def _sensor_faults(scene: mi.Scene, number: int, sensor: mi.Sensor, holders: list[Any], integrator: str) -> list[str]:
+    ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
+    origin = np.array(ray.o, dtype=np.float64).reshape(3, -1)[:, :1].T
+    inside = [shape for shape in holders if contains(scene, shape, origin)[0]]
+    if not inside:
+        return []
+    where = f"sensor {number} is inside the medium of shape {inside[0].id()!r}"
+    if integrator == "PRBVolpathIntegrator":
+        return [f"{where}, but `prbvolpath` begins outside of media: what lies between it and the next shell is not seen. Use "
+                "`volpath`, or move the sensor."]
+    # What it names is among its parameters, and nowhere else for Python.
+    if not any(key.startswith("medium.") for key in mi.traverse(sensor).keys()):  # noqa: SIM118
+        return [f"{where}, but names no medium: what lies between it and the next shell is not seen. Give the medium an id, and the sensor "
+                "<ref id=\"…\"/>."]
+    return []

@@ -1,0 +1,306 @@
+"""The medium in nested shells under Mitsuba's own integrators: means against closed forms, Mitsuba's grid medium and the quadrature.
+
+Means of several independent renders are compared within four standard errors of their difference, and what is stated beside.
+"""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+import trimesh
+from ridge_field import make_ridge, peak_of
+
+from ndf_mi.errors import InputError
+from ndf_mi.render.nested_check import faults, open_edges
+
+RADIUS, BAND, SIZE = 0.3, 0.08, 8
+INTEGRATORS = ["volpath", "volpathmis", "prbvolpath"]
+ERRORS = 4
+
+
+def sensor(origin=(0, 0, 2.0), target=(0, 0, 0), fov=28, size=SIZE, **more):
+    return {
+        "type": "perspective", "fov": fov, "to_world": mi.ScalarTransform4f().look_at(list(origin), list(target), [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
+        "sampler": {"type": "independent"}, **more,
+    }
+
+
+def performer(run, layers=3, frame=0, cell=0.0125, **more):
+    return {"type": "ndf_shell", "layers": layers, "cell": cell, "interior": {"type": "ndf", "run": str(run.path), "frame": frame, **more}}
+
+
+def scene_of(shapes, integrator="volpath", camera=None, depth=2, **more):
+    own = {} if integrator.startswith("ndf") else {"max_depth": depth, "rr_depth": 1000}
+    # A reference follows what it refers to.
+    return mi.load_dict({"type": "scene", "integrator": {"type": integrator, **own, **more}, "light": {"type": "constant"}, **shapes,
+                         "sensor": camera or sensor()})
+
+
+def media(scene):
+    return {shape.id(): shape.interior_medium() for shape in scene.shapes() if shape.interior_medium() is not None}
+
+
+@pytest.fixture
+def four_shells(monkeypatch):
+    """As many shells as that, whether they pay or not."""
+    monkeypatch.setattr("ndf_mi.render.nested.best_levels", lambda estimate, count: (0.5, 4.0, 12.0))
+
+
+def means(scene, spp=128, count=6):
+    """Means over the image of independent renders, (count, 3)."""
+    return np.array([mi.render(scene, spp=spp, seed=seed).numpy().mean((0, 1)) for seed in range(count)], dtype=np.float64)
+
+
+def agree(a, b, also=0.0):
+    """Whether two sets of means agree within `ERRORS` standard errors and a fraction `also` of the second."""
+    noise = np.sqrt(sum(m.var(0, ddof=1) / len(m) for m in (a, b) if len(m) > 1))
+    difference = np.abs(a.mean(0) - b.mean(0))
+    assert (difference < ERRORS * noise + also * b.mean(0)).all(), (difference, noise)
+    # The comparison means something: the noise is small itself.
+    assert (noise < 0.01 * b.mean(0)).all()
+
+
+def through(density, fov=28, distance=2.0, size=SIZE, fine=32):
+    """The image's mean transmittance through the ball's band, by float64 sums along a fine grid of rays."""
+    at = np.tan(np.radians(fov) / 2) * (2 * (np.arange(size * fine) + 0.5) / (size * fine) - 1)
+    x, y = np.meshgrid(at, at)
+    offset = distance * np.sqrt(x**2 + y**2) / np.sqrt(1 + x**2 + y**2)
+    closest, turn = np.unique(np.round(offset, 4), return_inverse=True)
+    step = 2e-4
+    s = np.arange(0, RADIUS + BAND, step) + step / 2
+    sigma = density(np.sqrt(closest[:, None] ** 2 + s**2) - RADIUS)
+    return float(np.exp(-2 * step * sigma.sum(1))[turn].mean())
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_transmittance_agrees_with_the_closed_form(make_run, four_shells, integrator):
+    run, density = make_ridge(make_run, peak=-1.5)
+    scene = scene_of({"performer": performer(run)}, integrator)
+    found = media(scene)
+    assert sorted(found) == ["performer", "performer_1", "performer_2", "performer_3"]
+    values = [float(found[name].majorant[0]) for name in sorted(found)]
+    assert values == sorted(values) and values[0] < 0.05 * values[-1] < 0.05 * 1.05 * 200
+    # The ball is a mesh, up to 1.5 mm within the sphere.
+    agree(means(scene), np.full((1, 3), through(density)), also=2e-3)
+
+
+def test_transmittance_of_a_constant_density(make_constant_run):
+    run = make_constant_run(6.0, srgb=(1e-6,) * 3)
+    scene = scene_of({"performer": performer(run, layers=4)})
+    (medium,) = media(scene).values()
+    assert 1.05 * 6 < float(medium.majorant[0]) < 1.3 * 6
+    agree(means(scene), np.full((1, 3), through(lambda l: np.where(np.abs(l) < BAND, 6.0, 0))), also=2e-3)
+
+
+def test_transmittance_agrees_with_the_quadrature_in_the_same_shells(make_run, four_shells):
+    run, _ = make_ridge(make_run, peak=-1.5)
+    shapes = {"performer": performer(run)}
+    agree(means(scene_of(shapes)), means(scene_of(shapes, "ndf_quadrature", samples=400), spp=64, count=3), also=5e-4)
+
+
+def baked(run, frame, cells=72):
+    """The field of a frame as Mitsuba's grid medium in a cube around it."""
+    half = RADIUS + BAND + 0.01
+    posed = run.posed(frame)
+    centre = run.poses.translation[run.poses.index(frame)].astype(np.float64)
+    at = (np.arange(cells) + 0.5) / cells * 2 * half - half
+    z, y, x = np.meshgrid(at, at, at, indexing="ij")
+    points = mi.Point3f(*(np.ascontiguousarray(v.ravel() + c, dtype=np.float32) for v, c in zip((x, y, z), centre, strict=True)))
+    posed.bound.pack()
+    sample = posed.fused(points, mi.Vector3f(0, 0, 1))
+    sigma = sample.sigma.numpy().reshape(cells, cells, cells, 1)
+    albedo = np.moveaxis(sample.colour.numpy(), 0, -1).reshape(cells, cells, cells, 3)
+    box = mi.ScalarTransform4f().translate(centre.tolist()).scale(2 * half).translate([-0.5, -0.5, -0.5])
+    volumes = {name: {"type": "gridvolume", "grid": mi.VolumeGrid(np.ascontiguousarray(grid, dtype=np.float32)), "to_world": box}
+               for name, grid in (("sigma_t", sigma), ("albedo", albedo))}
+    return half, centre, {"type": "heterogeneous", **volumes}
+
+
+@pytest.fixture
+def wide(make_run):
+    """A run whose frames are 5 cm apart; a ridge wide enough for the grid, of a colour that nothing changes."""
+    return make_ridge(make_run, peak=-0.5, slope=12.0, low=0.015, high=0.03, srgb=(0.95, 0.8, 0.5), frames=20)[0]
+
+
+@pytest.mark.parametrize("integrator", ["volpath", "prbvolpath"])
+def test_two_performers_agree_with_mitsubas_grid_medium(wide, four_shells, integrator):
+    """Also with a phase function, and shells within shells in different media."""
+    hg = {"type": "hg", "g": 0.6}
+    camera = sensor((0.45, 0, 3.0), (0.45, 0, 0))
+    two, grids = {}, {}
+    for frame in (0, 18):
+        two[f"performer{frame}"] = performer(wide, frame=frame, phase=hg)
+        half, centre, medium = baked(wide, frame)
+        grids[f"cube{frame}"] = {"type": "cube", "to_world": mi.ScalarTransform4f().translate(centre.tolist()).scale(half),
+                                 "bsdf": {"type": "null"}, "interior": {**medium, "phase": hg}}
+    # The light is uneven, so that the phase function matters.
+    light = {"sun": {"type": "directional", "direction": [0.3, -0.5, -1], "irradiance": 3.0}}
+    ours, theirs = (scene_of({**shapes, **light}, integrator, camera, depth=5) for shapes in (two, grids))
+    assert len(media(ours)) == 8
+    # What a grid of 72 cells blurs.
+    agree(means(ours), means(theirs), also=8e-3)
+
+
+@pytest.mark.parametrize("integrator", ["volpath", "volpathmis"])
+def test_camera_inside_the_medium_agrees_with_mitsubas_grid_medium(wide, four_shells, integrator):
+    camera = {"origin": (0, 0, RADIUS + 0.02), "target": (1, 0.3, RADIUS), "fov": 60}
+    ref = {"type": "ref", "id": "medium"}
+    half, _, medium = baked(wide, 0)
+    cube = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(half), "bsdf": {"type": "null"}, "interior": ref}
+    shell = {"type": "ndf_shell", "layers": 3, "cell": 0.0125, "interior": ref}
+    field = {"type": "ndf", "run": str(wide.path), "frame": 0}
+    ours, theirs = (scene_of({"medium": what, "performer": shape}, integrator, sensor(**camera, medium=ref), depth=5)
+                    for what, shape in ((field, shell), (medium, cube)))
+    assert not faults(ours)
+    agree(means(ours), means(theirs), also=8e-3)
+
+
+def test_gradient_under_prbvolpath_agrees_with_the_closed_form(make_run):
+    """∂(mean transmittance)/∂peak, by the majorants of training."""
+    run, density = make_ridge(make_run, peak=-1.5, density_limit=60.0)
+    scene = scene_of({"performer": performer(run)}, "prbvolpath")
+    params = mi.traverse(scene)
+    key = "performer.interior_medium.weights"
+    dr.enable_grad(params[key])
+    params.update()
+    assert all(float(medium.majorant[0]) == pytest.approx(63.0) for medium in media(scene).values())
+    gradients = []
+    for seed in range(4):
+        dr.set_grad(params[key], 0)
+        image = mi.render(scene, params, spp=16, spp_grad=128, seed=2 * seed, seed_grad=2 * seed + 1)
+        dr.backward(dr.mean(image, axis=None))
+        gradients.append(dr.grad(params[key]).numpy()[peak_of(run)])
+    gradients = np.array(gradients, dtype=np.float64)
+    step = 0.02
+    around = [through(make_ridge(make_run, "other", peak=-1.5 + sign * step, density_limit=60.0)[1]) for sign in (1, -1)]
+    expected = (around[0] - around[1]) / (2 * step)
+    assert expected < -0.02
+    error = gradients.std(ddof=1) / np.sqrt(len(gradients))
+    assert error < 0.1 * abs(expected)
+    assert abs(gradients.mean() - expected) < ERRORS * error + 0.01 * abs(expected)
+
+
+def test_xml_of_a_file(make_run, four_shells, tmp_path):
+    run, _ = make_ridge(make_run)
+    (tmp_path / "scene.xml").write_text(f"""<scene version="3.5.0">
+        <integrator type="volpath"/> <emitter type="constant"/>
+        <sensor type="perspective"><transform name="to_world"><lookat origin="0,0,2" target="0,0,0" up="0,1,0"/></transform></sensor>
+        <shape type="ndf_shell" id="performer">
+            <integer name="layers" value="3"/>
+            <medium type="ndf" name="interior"><string name="run" value="{run.path}"/></medium>
+        </shape></scene>""")
+    scene = mi.load_file(str(tmp_path / "scene.xml"))
+    assert sorted(media(scene)) == ["performer", "performer_1", "performer_2", "performer_3"]
+    # Between two shells it is one and the same medium, whichever shell it is reached through.
+    shells = {shape.id(): shape for shape in scene.shapes()}
+    assert shells["performer"].exterior_medium() is None
+    for outer, inner in (("performer", "performer_1"), ("performer_1", "performer_2"), ("performer_2", "performer_3")):
+        assert shells[inner].exterior_medium() is shells[outer].interior_medium()
+    assert [key for key in mi.traverse(scene).keys() if key.endswith(".weights")] == ["performer.interior_medium.weights"]  # noqa: SIM118
+
+
+def test_majorants_follow_the_parameters(make_run, capfd):
+    run, density = make_ridge(make_run, density_limit=100.0)
+    scene = scene_of({"performer": performer(run)})
+    found = [media(scene)[name] for name in sorted(media(scene))]
+    assert len(found) > 1
+    params = mi.traverse(scene)
+    key = "performer.interior_medium.weights"
+    before = [float(medium.majorant[0]) for medium in found]
+    weights = params[key].numpy()
+    weights[peak_of(run)] += 1
+    params[key] = mi.Float(weights)
+    params.update()
+    after = [float(medium.majorant[0]) for medium in found]
+    top = make_ridge(make_run, "denser", peak=2.0, density_limit=100.0)[1](np.array(0.015))
+    assert all(b > a for a, b in zip(before, after, strict=True)) and top < after[-1] <= 105.001
+    dr.enable_grad(params[key])
+    params[key] = params[key] * 1
+    params.update()
+    assert [float(medium.majorant[0]) for medium in found] == pytest.approx([105.0] * len(found))
+    assert "ndf:" not in capfd.readouterr().out
+
+
+def said(capfd):
+    out, err = capfd.readouterr()
+    return out + err
+
+
+def test_a_moved_body_is_told_once(make_run, capfd):
+    run, _ = make_ridge(make_run)
+    params = mi.traverse(scene_of({"performer": performer(run)}))
+    for shift in (0.05, 0.06):
+        params["performer.interior_medium.vertices"] = mi.Float((run.poses.vertices[0] + np.float32([shift, 0, 0])).ravel())
+        params.update()
+    text = said(capfd)
+    assert text.count("the body has moved") == 1 and "load the scene anew" in text and str(run.path) in text
+
+
+def test_a_density_above_its_majorant_is_told_with_place_and_remedy(make_run, capfd):
+    run, _ = make_ridge(make_run, peak=2.0, slope=3000.0, low=0.03, high=0.0302)
+    scene_of({"performer": performer(run, cell=0.06)})
+    text = said(capfd)
+    assert text.count("per metre, above the majorant") == 1
+    for word in ("the density at (", "smaller `cell`", "leave `layers` out", str(run.path)):
+        assert word in text
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"layers": -1}, ["layers", "-1"]),
+    ({"layers": 99}, ["layers", "99"]),
+    ({"cell": 0.0}, ["cell", "0"]),
+    ({"frame": 2}, ["interior", "frame 0", "frame 2"]),
+    ({"interior": {"type": "homogeneous"}}, ["run", "nothing"]),
+    ({"to_world": mi.ScalarTransform4f().scale(2)}, ["to_world"]),
+])
+def test_wrong_parameters_of_the_shell_are_named(make_run, change, words):
+    run = make_run()
+    with pytest.raises(Exception) as caught:
+        mi.load_dict({**performer(run), **change})
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_one_medium_in_two_nests_is_refused(make_run):
+    medium = mi.load_dict({"type": "ndf", "run": str(make_run().path)})
+    medium.nest(2, 0.06)
+    with pytest.raises(InputError, match="another `ndf_shell`"):
+        medium.nest(2, 0.06)
+
+
+def test_what_a_scene_gets_wrong_is_told(make_run):
+    run, _ = make_ridge(make_run)
+    medium = {"type": "ndf", "run": str(run.path)}
+    null = {"type": "null"}
+    assert faults(scene_of({"performer": performer(run)})) == []
+    assert faults(scene_of({"ball": {"type": "sphere", "radius": 0.4, "bsdf": null, "interior": medium}})) == []
+    assert faults(scene_of({"ball": {"type": "sphere"}})) == []
+
+    def only(scene, *words):
+        (text,) = faults(scene)
+        for word in words:
+            assert word in text
+        return text
+
+    for name in ("path", "direct", "prb"):
+        only(mi.load_dict({"type": "scene", "integrator": {"type": name}, "performer": performer(run)}), "knows no media", "volpath")
+    only(scene_of({"small": {"type": "sphere", "radius": 0.31, "bsdf": null, "interior": medium}}), "small", "% of the field")
+    only(scene_of({"inward": {"type": "sphere", "radius": 0.4, "flip_normals": True, "bsdf": null, "interior": medium}}), "faces inward")
+    only(scene_of({"grey": {"type": "sphere", "radius": 0.4, "interior": medium}}), "surface of its own", "null")
+    only(scene_of({"flat": {"type": "rectangle", "bsdf": null, "interior": medium}}), "encloses nothing")
+    only(scene_of({"performer": performer(run)}, camera=sensor((0, 0, 0.33))), "sensor 0 is inside", "'performer'", "<ref")
+    only(scene_of({"performer": performer(run)}, "prbvolpath", camera=sensor((0, 0, 0.33))), "begins outside of media")
+
+
+def test_open_mesh_is_told(make_run, tmp_path):
+    run, _ = make_ridge(make_run)
+    ball = trimesh.creation.icosphere(2, 0.4)
+    assert open_edges(ball.vertices, ball.faces) == 0
+    ball.update_faces(np.arange(len(ball.faces)) != 7)
+    assert open_edges(ball.vertices, ball.faces) == 3
+    ball.export(tmp_path / "open.ply")
+    scene = scene_of({"mine": {"type": "ply", "filename": str(tmp_path / "open.ply"), "bsdf": {"type": "null"},
+                               "interior": {"type": "ndf", "run": str(run.path)}}})
+    (text,) = faults(scene)
+    assert "mine" in text and "not closed (3 open edges)" in text and "ndf_shell" in text
