@@ -12,18 +12,20 @@ field is then piecewise linear along the ray, and may be read off at the strata'
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 
 from ndf_mi.numerics import expm1
-from ndf_mi.render.quadrature import VolumeField, Workspace
+from ndf_mi.render.quadrature import VolumeField
 from ndf_mi.render.sampling import box_interval, stratified
 
 TILE = 4096
-"""Rays integrated at once. All tiles have this many, so that one set of kernels and sizes serves camera rays, later bounces and shadow
-rays alike; it bounds the candidates' memory, at about 50 bytes each."""
+"""Rays integrated at once at most: what bounds the candidates' memory, at about 50 bytes each."""
+
+_RAYS, _SAMPLES = 256, 2048
+"""The least sizes of arrays of rays and of samples; the others are these times 2, 3, 4, 6, 8, 12 and so on."""
 
 
 @dataclass
@@ -77,11 +79,15 @@ class _Strata:
 
 @dataclass
 class Transport:
-    """Integrates fields along segments; keeps kernels and sizes from call to call.
+    """Integrates fields along segments.
+
+    How many segments meet a field, and how many of their samples lie in it, differs widely between camera rays, shadow rays and later
+    bounces. Sizes may enter kernels; they are therefore rounded up to a few, rather than kept at the largest that was ever needed, which
+    would have several times as many samples evaluated as there are.
 
     Args:
         samples: candidate samples a segment and field (times the field's own `strata`).
-        tile: rays at once.
+        tile: rays at once at most.
 
     Attributes:
         evaluated: samples that reached a network since the object was made.
@@ -89,7 +95,6 @@ class Transport:
 
     samples: int
     tile: int = TILE
-    workspace: Workspace = field(default_factory=Workspace)
     evaluated: int = 0
 
     def __call__(
@@ -120,10 +125,7 @@ class Transport:
             chosen = dr.compress(mask)
             count = dr.width(chosen)
             for first in range(0, count, self.tile):
-                lane = dr.arange(mi.UInt32, self.tile) + dr.opaque(mi.UInt32, first)
-                real = lane < dr.opaque(mi.UInt32, count)
-                index = dr.gather(mi.UInt32, chosen, lane, real)
-                dr.eval(index, real)
+                index, real = _padded(chosen, first, min(self.tile, count - first), _RAYS)
                 indices.append(index)
                 reals.append(real)
                 rows.append(self._tile(group, ray, index, real, jitter))
@@ -164,14 +166,16 @@ class Transport:
             candidate = dr.gather(mi.Bool, hit & real, parent) & volume.near(x)
             width = (far - near) / samples
             dr.eval(candidate, t, delta, near, width)
-            first, kept, _ = self.workspace.near(candidate)
+            chosen = dr.compress(candidate)
+            first, kept = _padded(chosen, 0, dr.width(chosen), _SAMPLES)
             parent = first // samples
             x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * dr.gather(mi.Float, t, first))
             handle, inside = volume.locate(x, kept)
             inside &= kept
             dr.eval(handle, inside)
-            second, kept, evaluated = self.workspace.inside(inside)
-            self.evaluated += evaluated
+            chosen = dr.compress(inside)
+            second, kept = _padded(chosen, 0, dr.width(chosen), _SAMPLES)
+            self.evaluated += dr.width(chosen)
             index = dr.gather(mi.UInt32, first, second)
             handle = dr.gather(type(handle), handle, second)
             dr.eval(index, handle, kept)
@@ -208,6 +212,20 @@ def _weights(one: _Strata, others: list[_Strata]) -> mi.Float:
         # Rounding must not make an empty stretch negative.
         total = total + dr.maximum(other.optical_depth(ray, start + width) - begin, 0.0)
     return dr.exp(-ahead) * -expm1(-total) * (one.tau / dr.maximum(total, 1e-20))
+
+
+def _padded(chosen: mi.UInt32, first: int, count: int, unit: int) -> tuple[mi.UInt32, mi.Bool]:
+    """`count` of the chosen indices from number `first` on, padded with 0 to one of the few sizes, and which entries are real."""
+    size, other = unit, unit // 2 * 3
+    while size < count:
+        size, other = other, 2 * size
+    if count == 0:
+        return dr.zeros(mi.UInt32, size), dr.full(mi.Bool, False, size)
+    lane = dr.arange(mi.UInt32, size)
+    real = lane < dr.opaque(mi.UInt32, count)
+    index = dr.gather(mi.UInt32, chosen, lane + dr.opaque(mi.UInt32, first), real)
+    dr.eval(index, real)
+    return index, real
 
 
 def _join(parts: list[mi.Float]) -> mi.Float:
