@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from ridge_field import make_ridge
 
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.errors import InputError
@@ -318,16 +319,10 @@ def test_one_performer_in_several_shapes_counts_once(constant):
 
 
 def test_layers_of_nested_shells_are_one_performer(make_run):
-    from types import SimpleNamespace
-
-    from ndf_mi.render.transport_scene import performers
-
-    world = scene_of(shapes={"performer": performer(make_run())})
-    shell = world.shapes()[0]
-    layers = [SimpleNamespace(field=shell.interior_medium(), index=index) for index in range(3)]
-    shapes = [SimpleNamespace(interior_medium=lambda i=i: layers[i], exterior_medium=lambda i=i: layers[i - 1] if i else None,
-                              bsdf=shell.bsdf, id=shell.id) for i in range(3)]
-    assert len(performers(SimpleNamespace(shapes=lambda: shapes, sensors=world.sensors), "test")) == 1
+    shell = performer(make_ridge(make_run, srgb=(0.9, 0.5, 0.2))[0])
+    plain, nested = (scene_of(shapes={"p": {**shell, **more}}, background=0.5, samples=32) for more in ({}, {"layers": 4, "cell": 0.02}))
+    assert len(nested.shapes()) > 1
+    np.testing.assert_allclose(mi.render(nested, spp=4).numpy(), mi.render(plain, spp=4).numpy(), atol=1e-5)
 
 
 def test_the_scale_of_a_medium_is_a_factor_on_its_density(constant):
