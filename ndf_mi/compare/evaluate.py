@@ -12,6 +12,7 @@ from PIL import Image
 
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
+from ndf_mi.capture.document import Split
 from ndf_mi.compare import metrics
 from ndf_mi.compare.flicker import measure_flicker
 from ndf_mi.compare.methods.base import Method
@@ -39,7 +40,7 @@ def choose_views(capture: Capture, max_images: int | None, seed: int = 0, protoc
     limit = protocol.max_images if max_images is None else max_images
     chosen: list[View] = []
     for index, name in enumerate(SPLITS):
-        split = capture.splits[name]
+        split = capture.splits.get(name, Split())
         if name == "sequence":
             continue
         if name != "train":

@@ -34,7 +34,7 @@ def choose_sequences(capture: Capture, count: int) -> list[FrameSequence]:
     fewer than two frames has none, and none has where `count` is 0.
     """
     chosen = []
-    own = capture.splits["sequence"]
+    own = capture.splits.get("sequence", Split())
     for name, split in {"sequence": own}.items() if len(own.frames) > 1 else capture.splits.items():
         frames = _closest_run(split, count)
         if len(frames) > 1 and split.cameras:

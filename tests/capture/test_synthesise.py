@@ -106,7 +106,7 @@ def test_the_same_seed_makes_the_same_capture_and_a_stopped_one_goes_on(tiny: Pa
     stamp = kept.stat().st_mtime_ns
     calls: list[tuple[int, int]] = []
     synthesise(again, TINY, progress=lambda done, total: calls.append((done, total)))
-    assert calls[1:] == [(10, 11), (11, 11)]
+    assert calls[1:] == [(12, 13), (13, 13)]
     assert kept.stat().st_mtime_ns == stamp
     assert lost.read_bytes() == (tiny / "images" / "cam00" / "000001.png").read_bytes()
     assert Capture.read(again).digest == Capture.read(tiny).digest
@@ -130,7 +130,7 @@ def test_overwrite_replaces_a_capture_and_leaves_nothing_of_it(tiny: Path, tmp_p
     other = tmp_path / "other"
     shutil.copytree(tiny, other)
     (other / "images" / "cam00" / "000099.png").write_bytes(b"")
-    small = replace(TINY, frames=1, view_frames=1, pose_frames=0, cameras=2, train_cameras=1, pose_cameras=1, seed=3)
+    small = replace(TINY, frames=1, view_frames=1, pose_frames=0, cameras=2, train_cameras=1, pose_cameras=1, sequence_frames=0, seed=3)
     synthesise(other, small, overwrite=True)
     assert problems(other) == []
     assert len(list((other / "images").rglob("*.png"))) == 2

@@ -12,9 +12,9 @@ import pytest
 from ndf_mi.errors import InputError
 from ndf_mi.field import preset
 from ndf_mi.learn.loop import resume, start, train
+from ndf_mi.learn.loss import ImageLoss, Loss
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RaySampler, box_pixels, pixel_rays
-from ndf_mi.learn.trainer import Progress
 from ndf_mi.render.image import ImageRenderer
 from ndf_mi.run import Run
 
@@ -183,7 +183,8 @@ def test_a_training_that_diverges_stops_with_a_message_and_keeps_its_checkpoint(
     trainer = taken(start(tmp_path / "run", capture, TINY, OPTIONS), 2)
     trainer.save()
     before = (tmp_path / "run" / "field.safetensors").read_bytes()
-    monkeypatch.setattr(type(trainer), "progress", property(lambda self: Progress(3, 1.0, float("nan"), 0)))
+    bad = lambda self, seen, target, mask: Loss(dr.sum(seen.opacity) * mi.Float(dr.nan), mi.Float(0.1))  # noqa: E731
+    monkeypatch.setattr(ImageLoss, "__call__", bad)
     with pytest.raises(InputError, match="learning rate"):
         train(trainer, quiet=True)
     assert (tmp_path / "run" / "field.safetensors").read_bytes() == before

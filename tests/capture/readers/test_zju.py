@@ -86,7 +86,7 @@ def test_the_mesh_lies_on_the_masks(write_zju, smpl_file, tmp_path: Path) -> Non
     capture = Capture.read(tmp_path / "out")
     assert (capture.cameras["Camera_B1"].w, capture.cameras["Camera_B1"].h) == (48, 48)
     assert {name: split.frames for name, split in capture.splits.items()} == {
-        "train": (0, 150), "novel_view": (0, 150), "novel_pose": (300, 450),
+        "train": (0, 150), "novel_view": (0, 150), "novel_pose": (300, 450), "sequence": (),
     }  # fmt: skip
     for camera, frame in {("Camera_B1", 0), ("Camera_B7", 150), ("Camera_B2", 300), ("Camera_B9", 450)}:
         mask = capture.mask(camera, frame)
