@@ -54,7 +54,8 @@ def test_recovers_the_radius(shrunk):
     offsets, fit = fitted(shrunk)
     found = np.linalg.norm(shrunk.body.template + offsets, axis=1)
     assert found.mean() == pytest.approx(RADIUS, abs=3e-3)
-    assert np.percentile(np.abs(found - RADIUS), 90) < 0.012
+    # Half a pixel: triangles that turn over on the way go back to where they were some steps before, and lose a little.
+    assert np.percentile(np.abs(found - RADIUS), 90) < 0.015
     assert_sound(shrunk, offsets)
     assert fit.step() < 0.002
 
