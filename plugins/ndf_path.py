@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ndf_mi.errors import InputError
+from ndf_mi.render import properties
 from ndf_mi.render.transport import Crossing, Performer, Transport
 from ndf_mi.render.transport_scene import performers
 from ndf_mi.render.transport_surfaces import next_surface, occluded
@@ -114,21 +115,15 @@ def register() -> None:
         """
 
         def __init__(self, props: mi.Properties) -> None:
-            depth, roulette = int(props.get("max_depth", 6)), int(props.get("rr_depth", 5))
+            depth = int(props.get("max_depth", 6))
             if depth != -1 and depth < 1:
                 raise InputError("ndf_path: max_depth", str(depth), "a whole number above 0, or -1 for no limit")
-            if roulette < 1:
-                raise InputError("ndf_path: rr_depth", str(roulette), "a whole number above 0")
+            # Both are Mitsuba's own to read, which takes any number.
+            properties.count(props, "ndf_path", "rr_depth", 5)
             super().__init__(props)
-            samples = int(props.get("samples", 128))
-            if samples < 1:
-                raise InputError("ndf_path: samples", str(samples), "a whole number above 0")
             self.stratified = bool(props.get("stratified", False))
-            self.aovs = [name.strip() for name in str(props.get("aovs", "")).split(",") if name.strip()]
-            for name in self.aovs:
-                if name not in CHANNELS:
-                    raise InputError("ndf_path: aovs", repr(name), ", ".join(CHANNELS))
-            self.transport = Transport(samples)
+            self.aovs = properties.aovs(props, "ndf_path", CHANNELS)
+            self.transport = Transport(properties.count(props, "ndf_path", "samples", 128))
 
         def aov_names(self) -> list[str]:
             return [CHANNELS[name] for name in self.aovs]

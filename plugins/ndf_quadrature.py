@@ -9,7 +9,9 @@ import mitsuba as mi
 
 from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel
-from ndf_mi.render.quadrature import Radiance, Workspace, quadrature
+from ndf_mi.render import properties
+from ndf_mi.render.quadrature import Radiance, quadrature
+from ndf_mi.render.strata import Workspace
 
 RAYS_AT_ONCE = 1 << 15
 """Rays of one pass: what bounds memory, at about 50 bytes a candidate sample."""
@@ -66,14 +68,9 @@ def register() -> None:
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
-            self.samples = int(props.get("samples", 128))
-            if self.samples < 1:
-                raise InputError("ndf_quadrature: samples", str(self.samples), "a whole number above 0")
+            self.samples = properties.count(props, "ndf_quadrature", "samples", 128)
             self.stratified = bool(props.get("stratified", False))
-            self.aovs = [name.strip() for name in str(props.get("aovs", "")).split(",") if name.strip()]
-            for name in self.aovs:
-                if name not in CHANNELS:
-                    raise InputError("ndf_quadrature: aovs", repr(name), ", ".join(CHANNELS))
+            self.aovs = properties.aovs(props, "ndf_quadrature", CHANNELS)
             self._workspace = Workspace()
 
         def aov_names(self) -> list[str]:

@@ -17,12 +17,12 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
-from ndf_mi.render.quadrature import VolumeField, Workspace, quadrature
-from ndf_mi.render.sampling import box_interval
+from ndf_mi.render.quadrature import quadrature
+from ndf_mi.render.sampling import Rounding, box_interval
+from ndf_mi.render.strata import VolumeField, Workspace
 
 LANES = 1 << 19
 """Candidate samples looked at at once. Every tile has as many rays as make this number, so that one set of kernels serves all."""
-
 
 RECIPE = 2
 """Raised whenever the same field at the same settings gives other pictures than before."""
@@ -59,10 +59,10 @@ class Image:
 
 @dataclass
 class ImageRenderer:
-    """Renders images of fields at a fixed number of samples a ray, keeping kernels and array sizes from one to the next."""
+    """Renders images of fields at a fixed number of samples a ray."""
 
     samples: int = 128
-    workspace: Workspace = field(default_factory=Workspace)
+    workspace: Workspace = field(default_factory=lambda: Workspace(Rounding(), Rounding()))
     spp: int = 1
     """Rays a pixel: 1 goes through the centre; more are spread over the pixel by a low-discrepancy sequence and averaged."""
     rounds: int = 4

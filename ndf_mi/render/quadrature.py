@@ -7,44 +7,14 @@ Only samples that can lie in the band are projected, and only those that do lie 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 
 from ndf_mi.field.sample import FieldSample
 from ndf_mi.numerics import expm1
-from ndf_mi.render.sampling import Compaction, box_interval, stratified
-
-
-class VolumeField(Protocol):
-    """What can be rendered: something in a box that knows cheaply where it is empty, and what it is elsewhere."""
-
-    bbox: mi.BoundingBox3f
-
-    strata: int
-    """Factor on the candidate samples a ray."""
-
-    def near(self, x: mi.Point3f) -> mi.Bool:
-        """False only where the field is empty for certain."""
-        ...
-
-    def locate(self, x: mi.Point3f, active: mi.Bool) -> tuple[Any, mi.Bool]:
-        """Detached search: a handle of each point (an array to be gathered from), and whether the field is defined there."""
-        ...
-
-    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: Any, active: mi.Bool) -> FieldSample:
-        """The field at located points; inactive lanes must be finite and are ignored."""
-        ...
-
-
-@dataclass
-class Workspace:
-    """Sizes that persist from call to call, so that kernels are compiled once: one for each kind of call (training, tiles)."""
-
-    near: Compaction = field(default_factory=Compaction)
-    inside: Compaction = field(default_factory=Compaction)
+from ndf_mi.render.strata import VolumeField, Workspace, sample_strata
 
 
 @dataclass
@@ -98,65 +68,24 @@ def quadrature(
     ray = mi.Ray3f(ray)
     ray.o = ray.o + dr.zeros(mi.Vector3f, rays)
     ray.d = ray.d + dr.zeros(mi.Vector3f, rays)
-    first, count = window or (0, samples)
-    part = first * volume.strata, count * volume.strata, samples * volume.strata
-    samples = part[1]
-    lanes = rays * samples
-
-    with dr.suspend_grad():
-        hit, near, far = box_interval(volume.bbox, ray)
-        if window is not None:
-            step = (far - near) / part[2]
-            near = dr.fma(step, dr.opaque(mi.Float, part[0]), near)
-            far = dr.fma(step, part[1], near)
-        t, delta = stratified(near, far, samples, jitter)
-        parent = dr.arange(mi.UInt32, lanes) // samples
-        x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * t)
-        candidate = dr.gather(mi.Bool, hit, parent) & volume.near(x)
-        dr.eval(candidate, t, delta)
-        chosen, real, _ = workspace.near(candidate)
-        parent = chosen // samples
-        x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * dr.gather(mi.Float, t, chosen))
-        handle, inside = volume.locate(x, real)
-        inside &= real
-        dr.eval(handle, inside)
-        second, real, evaluated = workspace.inside(inside)
-        index = dr.gather(mi.UInt32, chosen, second)
-        handle = dr.gather(type(handle), handle, second)
-        dr.eval(index, handle, real)
-
-    parent = index // samples
-    o, d = dr.gather(mi.Point3f, ray.o, parent), dr.gather(mi.Vector3f, ray.d, parent)
-    sample = volume.evaluate(mi.Point3f(o + d * dr.gather(mi.Float, t, index)), d, handle, real)
-
-    def spread(value: mi.Float) -> mi.Float:
-        """Back to one lane a candidate; zero where nothing was evaluated."""
-        return _scatter(value, index, real, lanes)
-
-    sigma = sample.sigma if sample.weight is None else sample.sigma * sample.weight
-    if scale != 1.0:
-        sigma = sigma * dr.opaque(mi.Float, scale)
-    tau = spread(sigma) * delta
-    weight = dr.exp(-dr.block_prefix_sum(tau, samples, exclusive=True)) * -expm1(-tau)
+    strata = sample_strata(volume, ray, samples, workspace, jitter=jitter, window=window)
+    sample = strata.sample
+    tau = strata.optical_depth(scale)
+    weight = dr.exp(-dr.block_prefix_sum(tau, strata.count, exclusive=True)) * -expm1(-tau)
 
     def expect(value: mi.Float) -> mi.Float:
-        return dr.block_sum(weight * spread(value), samples)
+        return dr.block_sum(weight * strata.spread(value), strata.count)
 
-    opacity = -expm1(-dr.block_sum(tau, samples))
+    opacity = -expm1(-dr.block_sum(tau, strata.count))
     norm = dr.rcp(dr.maximum(opacity, 1e-6))
     return Radiance(
         colour=mi.Color3f(*[expect(c) for c in sample.colour]),
         opacity=opacity,
-        depth=dr.block_sum(weight * t, samples) * norm,
+        depth=dr.block_sum(weight * strata.t, strata.count) * norm,
         u=mi.Point3f(*[expect(c) * norm for c in sample.u]) if geometry else None,
         normal=mi.Normal3f(*[expect(c) * norm for c in sample.normal]) if geometry else None,
         samples=sample,
-        inside=real,
-        evaluated=evaluated,
+        inside=strata.real,
+        evaluated=strata.evaluated,
     )
 
-
-def _scatter(value: mi.Float, index: mi.UInt32, active: mi.Bool, width: int) -> mi.Float:
-    target = dr.zeros(mi.Float, width)
-    dr.scatter(target, value, index, active, mode=dr.ReduceMode.Permute)
-    return target

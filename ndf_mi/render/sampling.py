@@ -44,6 +44,25 @@ def stratified(near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | N
     return dr.fma(offset, width, dr.gather(mi.Float, near, ray)), width
 
 
+def pad(chosen: mi.UInt32, count: int, size: int, first: int = 0) -> tuple[mi.UInt32, mi.Bool]:
+    """`count` of the chosen indices from number `first` on, and which entries are real; zeros fill them up to `size`. Evaluated."""
+    lane = dr.arange(mi.UInt32, size)
+    real = lane < dr.opaque(mi.UInt32, count)
+    if count == 0:
+        return dr.zeros(mi.UInt32, size), real
+    index = dr.gather(mi.UInt32, chosen, lane + dr.opaque(mi.UInt32, first), real)
+    dr.eval(index, real)
+    return index, real
+
+
+def rounded(count: int, unit: int) -> int:
+    """The least of `unit` times 1, 3/2, 2, 3, 4, 6, 8, 12 and so on that is no less than `count`; `unit` is even."""
+    size, other = unit, unit // 2 * 3
+    while size < count:
+        size, other = other, 2 * size
+    return size
+
+
 class Compaction:
     """Chooses the lanes where a mask holds, padded to a size that seldom changes.
 
@@ -65,16 +84,8 @@ class Compaction:
         chosen = dr.compress(mask)
         count = dr.width(chosen)
         self.largest = max(self.largest, count)
-        if count > self.size:
-            self.size = self._padded(count)
-        self.size = max(self.size, QUANTUM)
-        lane = dr.arange(mi.UInt32, self.size)
-        real = lane < dr.opaque(mi.UInt32, count)
-        if count == 0:
-            return dr.zeros(mi.UInt32, self.size), real, 0
-        index = dr.gather(mi.UInt32, chosen, lane, real)
-        dr.eval(index, real)
-        return index, real, count
+        self.size = self._fit(count)
+        return *pad(chosen, count, self.size), count
 
     def settle(self) -> None:
         """Shrinks the size to what the calls since the last settling needed, if that is much less."""
@@ -83,5 +94,19 @@ class Compaction:
             self.size = needed
         self.largest = 0
 
+    def _fit(self, count: int) -> int:
+        return max(self._padded(count) if count > self.size else self.size, QUANTUM)
+
     def _padded(self, count: int) -> int:
         return -(-int(count * self.margin) // QUANTUM) * QUANTUM
+
+
+class Rounding(Compaction):
+    """Chooses lanes alike, but rounds each call's size up to one of a few (:func:`rounded`).
+
+    For calls that differ widely in how many lanes they choose, as bounces of paths do, and parts of rays from front to back: the largest
+    size ever needed would have several times as many lanes evaluated as there are.
+    """
+
+    def _fit(self, count: int) -> int:
+        return rounded(count, QUANTUM)

@@ -5,27 +5,27 @@ Along a segment of length t_s, with the extinctions σ_k and colours c_k of fiel
 
     L = ∫_0^{t_s} T(t) Σ_k σ_k(t) c_k(t) dt,    T(t) = exp(−∫_0^t Σ_k σ_k(s) ds)
 
-Every field is taken as constant in each of its strata, which lie as in :func:`ndf_mi.render.quadrature.quadrature`. The optical depth of a
+Every field is taken as constant in each of its strata, which lie as under `ndf_quadrature`. The optical depth of a
 field is then piecewise linear along the ray, and may be read off at the strata's ends of another: so fields need not share strata.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import drjit as dr
 import mitsuba as mi
 
 from ndf_mi.numerics import expm1
-from ndf_mi.render.quadrature import VolumeField
-from ndf_mi.render.sampling import box_interval, stratified
+from ndf_mi.render.sampling import Rounding, box_interval, pad, rounded
+from ndf_mi.render.strata import Strata, VolumeField, Workspace, sample_strata, scatter
 
 TILE = 4096
 """Rays integrated at once at most: what bounds the candidates' memory, at about 50 bytes each."""
 
-_RAYS, _SAMPLES = 256, 2048
-"""The least sizes of arrays of rays and of samples; the others are these times 2, 3, 4, 6, 8, 12 and so on."""
+_RAYS = 256
+"""The least number of rays integrated at once: tiles of fewer are filled up."""
 
 
 @dataclass
@@ -52,28 +52,23 @@ class Crossing:
 
 
 @dataclass
-class _Strata:
-    """One field along N rays: S strata a ray, N·S values beside one another.
+class _Medium:
+    """One field along N rays: its strata, their optical depths `tau`, the field's optical depth `before` each within its ray, and the
+    strata's `colour`, 0 where nothing was evaluated."""
 
-    `near` (N) and `width` (N) place them; `t` is where in each the field was evaluated; `tau` the strata's optical depths, `before` the
-    field's optical depth ahead of each within its ray; `colour` 0 where nothing was evaluated.
-    """
-
-    count: int
-    near: mi.Float
-    width: mi.Float
-    t: mi.Float
+    strata: Strata
     tau: mi.Float
     before: mi.Float
     colour: list[mi.Float]
 
     def optical_depth(self, ray: mi.UInt32, t: mi.Float) -> mi.Float:
         """From the origin of each ray to the distance t; linear within a stratum, constant before the first and behind the last."""
-        width = dr.gather(mi.Float, self.width, ray)
-        place = dr.clip((t - dr.gather(mi.Float, self.near, ray)) / dr.maximum(width, 1e-20), 0.0, float(self.count))
-        stratum = dr.minimum(mi.UInt32(place), self.count - 1)
+        strata = self.strata
+        width = dr.gather(mi.Float, strata.width, ray)
+        place = dr.clip((t - dr.gather(mi.Float, strata.near, ray)) / dr.maximum(width, 1e-20), 0.0, float(strata.count))
+        stratum = dr.minimum(mi.UInt32(place), strata.count - 1)
         part = place - mi.Float(stratum)
-        index = ray * self.count + stratum
+        index = ray * strata.count + stratum
         return dr.fma(part, dr.gather(mi.Float, self.tau, index), dr.gather(mi.Float, self.before, index))
 
 
@@ -95,6 +90,7 @@ class Transport:
 
     samples: int
     tile: int = TILE
+    workspace: Workspace = field(default_factory=lambda: Workspace(Rounding(), Rounding()))
     evaluated: int = 0
 
     def __call__(
@@ -125,14 +121,15 @@ class Transport:
             chosen = dr.compress(mask)
             count = dr.width(chosen)
             for first in range(0, count, self.tile):
-                index, real = _padded(chosen, first, min(self.tile, count - first), _RAYS)
+                rays = min(self.tile, count - first)
+                index, real = pad(chosen, rays, rounded(rays, _RAYS), first)
                 indices.append(index)
                 reals.append(real)
                 rows.append(self._tile(group, ray, index, real, jitter))
         if not rows:
             return Crossing(mi.Color3f(dr.zeros(mi.Float, width)), dr.full(mi.Float, 1.0, width), dr.zeros(mi.Float, width))
         index, real = _join(indices), _join(reals)
-        tau, depth, *colour = [_spread(_join(list(row)), index, real, width) for row in zip(*rows, strict=True)]
+        tau, depth, *colour = [scatter(_join(list(row)), index, real, width) for row in zip(*rows, strict=True)]
         return Crossing(mi.Color3f(*colour), dr.exp(-tau), depth)
 
     def _tile(
@@ -143,55 +140,28 @@ class Transport:
             part = mi.Ray3f(dr.gather(mi.Point3f, ray.o, index), dr.gather(mi.Vector3f, ray.d, index))
             part.maxt = dr.gather(mi.Float, ray.maxt, index)
             jitter = None if jitter is None else dr.gather(mi.Float, jitter, index)
-        strata = [self._strata(performer, part, real, jitter) for performer in performers]
+        media = [self._medium(performer, part, real, jitter) for performer in performers]
         rows = [dr.zeros(mi.Float, dr.width(index)) for _ in range(5)]
-        for one in strata:
-            weight = _weights(one, [other for other in strata if other is not one])
-            for place, value in enumerate((one.tau, weight * one.t, *(weight * c for c in one.colour))):
-                rows[place] += dr.block_sum(value, one.count)
+        for one in media:
+            weight = _weights(one, [other for other in media if other is not one])
+            for place, value in enumerate((one.tau, weight * one.strata.t, *(weight * c for c in one.colour))):
+                rows[place] += dr.block_sum(value, one.strata.count)
         dr.eval(rows)
         return rows
 
-    def _strata(self, performer: Performer, ray: mi.Ray3f, real: mi.Bool, jitter: mi.Float | None) -> _Strata:
-        """Evaluates a field in the strata of every ray, where it may be anything but empty; the steps of `quadrature`."""
+    def _medium(self, performer: Performer, ray: mi.Ray3f, real: mi.Bool, jitter: mi.Float | None) -> _Medium:
+        """Evaluates a field along rays."""
         volume = performer.volume
-        rays = dr.width(ray.d)
-        samples = self.samples * volume.strata
-        lanes = rays * samples
-        with dr.suspend_grad():
-            hit, near, far = box_interval(volume.bbox, ray)
-            t, delta = stratified(near, far, samples, None if jitter is None else dr.repeat(jitter, samples))
-            parent = dr.arange(mi.UInt32, lanes) // samples
-            x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * t)
-            candidate = dr.gather(mi.Bool, hit & real, parent) & volume.near(x)
-            width = (far - near) / samples
-            dr.eval(candidate, t, delta, near, width)
-            chosen = dr.compress(candidate)
-            first, kept = _padded(chosen, 0, dr.width(chosen), _SAMPLES)
-            parent = first // samples
-            x = mi.Point3f(dr.gather(mi.Point3f, ray.o, parent) + dr.gather(mi.Vector3f, ray.d, parent) * dr.gather(mi.Float, t, first))
-            handle, inside = volume.locate(x, kept)
-            inside &= kept
-            dr.eval(handle, inside)
-            chosen = dr.compress(inside)
-            second, kept = _padded(chosen, 0, dr.width(chosen), _SAMPLES)
-            self.evaluated += dr.width(chosen)
-            index = dr.gather(mi.UInt32, first, second)
-            handle = dr.gather(type(handle), handle, second)
-            dr.eval(index, handle, kept)
-            parent = index // samples
-            o, d = dr.gather(mi.Point3f, ray.o, parent), dr.gather(mi.Vector3f, ray.d, parent)
-            x = mi.Point3f(o + d * dr.gather(mi.Float, t, index))
-        sample = volume.evaluate(x, d, handle, kept)
-        sigma = sample.sigma if sample.weight is None else sample.sigma * sample.weight
-        if performer.scale != 1.0:
-            sigma = sigma * dr.opaque(mi.Float, performer.scale)
-        tau = _spread(sigma, index, kept, lanes) * delta
-        colour = [_spread(c, index, kept, lanes) for c in sample.colour]
-        return _Strata(samples, near, width, t, tau, dr.block_prefix_sum(tau, samples, exclusive=True), colour)
+        if jitter is not None:
+            jitter = dr.repeat(jitter, self.samples * volume.strata)
+        strata = sample_strata(volume, ray, self.samples, self.workspace, jitter=jitter, active=real)
+        self.evaluated += strata.evaluated
+        tau = strata.optical_depth(performer.scale)
+        before = dr.block_prefix_sum(tau, strata.count, exclusive=True)
+        return _Medium(strata, tau, before, [strata.spread(c) for c in strata.sample.colour])
 
 
-def _weights(one: _Strata, others: list[_Strata]) -> mi.Float:
+def _weights(one: _Medium, others: list[_Medium]) -> mi.Float:
     """w_i = ∫ over stratum i of T(t) σ_i dt, the share of the stratum's colour that reaches the origin.
 
     With the optical depth of the others growing by Δ within the stratum, evenly, that is
@@ -199,11 +169,12 @@ def _weights(one: _Strata, others: list[_Strata]) -> mi.Float:
     """
     if not others:
         return dr.exp(-one.before) * -expm1(-one.tau)
+    strata = one.strata
     lane = dr.arange(mi.UInt32, dr.width(one.tau))
-    ray = lane // one.count
-    stratum = mi.Float(lane - ray * one.count)
-    width = dr.gather(mi.Float, one.width, ray)
-    start = dr.fma(stratum, width, dr.gather(mi.Float, one.near, ray))
+    ray = lane // strata.count
+    stratum = mi.Float(lane - ray * strata.count)
+    width = dr.gather(mi.Float, strata.width, ray)
+    start = dr.fma(stratum, width, dr.gather(mi.Float, strata.near, ray))
     ahead = one.before
     total = one.tau
     for other in others:
@@ -214,25 +185,6 @@ def _weights(one: _Strata, others: list[_Strata]) -> mi.Float:
     return dr.exp(-ahead) * -expm1(-total) * (one.tau / dr.maximum(total, 1e-20))
 
 
-def _padded(chosen: mi.UInt32, first: int, count: int, unit: int) -> tuple[mi.UInt32, mi.Bool]:
-    """`count` of the chosen indices from number `first` on, padded with 0 to one of the few sizes, and which entries are real."""
-    size, other = unit, unit // 2 * 3
-    while size < count:
-        size, other = other, 2 * size
-    if count == 0:
-        return dr.zeros(mi.UInt32, size), dr.full(mi.Bool, False, size)
-    lane = dr.arange(mi.UInt32, size)
-    real = lane < dr.opaque(mi.UInt32, count)
-    index = dr.gather(mi.UInt32, chosen, lane + dr.opaque(mi.UInt32, first), real)
-    dr.eval(index, real)
-    return index, real
-
-
 def _join(parts: list[mi.Float]) -> mi.Float:
     return parts[0] if len(parts) == 1 else dr.concat(parts)
 
-
-def _spread(value: mi.Float, index: mi.UInt32, active: mi.Bool, width: int) -> mi.Float:
-    target = dr.zeros(mi.Float, width)
-    dr.scatter(target, value, index, active, mode=dr.ReduceMode.Permute)
-    return target
