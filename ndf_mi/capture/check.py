@@ -56,7 +56,9 @@ def summary(capture: Capture) -> str:
         f"body: {capture.poses.vertices.shape[1]} vertices, {len(capture.body.faces)} triangles, "
         f"{len(capture.poses.frames)} posed frames",
     ]
-    for name, split in ((name, split) for name, split in capture.splits.items() if len(split) or name != "sequence"):
+    for name, split in capture.splits.items():
+        if name == "sequence" and not len(split):
+            continue
         lines.append(f"{name}: {len(split.cameras)} cameras x {len(split.frames)} frames = {len(split)} images")
     lines.append(f"digest: {capture.digest}")
     return "\n".join(lines)

@@ -12,7 +12,6 @@ from PIL import Image
 
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
-from ndf_mi.capture.document import Split
 from ndf_mi.compare import metrics
 from ndf_mi.compare.flicker import measure_flicker
 from ndf_mi.compare.methods.base import Method
@@ -40,9 +39,9 @@ def choose_views(capture: Capture, max_images: int | None, seed: int = 0, protoc
     limit = protocol.max_images if max_images is None else max_images
     chosen: list[View] = []
     for index, name in enumerate(SPLITS):
-        split = capture.splits.get(name, Split())
         if name == "sequence":
             continue
+        split = capture.splits[name]
         if name != "train":
             split = replace(split, frames=protocol.frames(split))
         pairs = [View(name, camera, frame) for camera, frame in split]

@@ -35,7 +35,8 @@ def choose_sequences(capture: Capture, count: int) -> list[FrameSequence]:
     """
     chosen = []
     own = capture.splits.get("sequence", Split())
-    for name, split in {"sequence": own}.items() if len(own.frames) > 1 else capture.splits.items():
+    splits = {"sequence": own} if len(own.frames) > 1 else capture.splits
+    for name, split in splits.items():
         frames = _closest_run(split, count)
         if len(frames) > 1 and split.cameras:
             chosen.append(FrameSequence(name, split.cameras[0], frames))

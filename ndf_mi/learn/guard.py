@@ -50,27 +50,29 @@ class Guard:
         """Takes the present state as the one to go back to. Arrays are shared, not copied."""
         self._states = [{key: _detached(entry) for key, entry in optimiser.state.items()} for optimiser in self._optimisers]
 
-    def sound(self, loss: mi.Float, step: int) -> bool:
-        """Whether a step can be taken: to be asked when the gradients are there and the optimisers have not used them yet.
-
-        Args:
-            loss: one number.
-            step: how many steps have been taken.
-        """
+    def sound(self, loss: mi.Float) -> bool:
+        """Whether a step can be taken: to be asked when the gradients are there and the optimisers have not used them yet. `loss` is one
+        number."""
         total = mi.Float(loss)
         for optimiser in self._optimisers:
             for key in optimiser.keys():  # noqa: SIM118 - not a dict
                 total = total + dr.sum(dr.square(dr.grad(optimiser[key])))
-        if not math.isfinite(float(dr.detach(total)[0])):
-            return False
-        if step % KEEP_EVERY == 0:
-            self.keep()
-            self._in_a_row = 0
-            self._calm += 1
-            if self._calm >= RECOVERY:
-                self.factor = min(1.0, self.factor / FACTOR)
-                self._calm = 0
-        return True
+        return math.isfinite(float(dr.detach(total)[0]))
+
+    def proved(self, step: int) -> None:
+        """To be called where the step from the present state has proved sound, before it is taken.
+
+        Args:
+            step: how many steps have been taken.
+        """
+        if step % KEEP_EVERY:
+            return
+        self.keep()
+        self._in_a_row = 0
+        self._calm += 1
+        if self._calm >= RECOVERY:
+            self.factor = min(1.0, self.factor / FACTOR)
+            self._calm = 0
 
     def finite(self) -> bool:
         """Whether all values are: a rate beyond the range of floats can make them otherwise in a sound step."""

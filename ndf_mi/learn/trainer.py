@@ -20,8 +20,9 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RaySampler
 from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
 from ndf_mi.model import PosedModel
-from ndf_mi.render.quadrature import Workspace, quadrature
+from ndf_mi.render.quadrature import quadrature
 from ndf_mi.render.sampling import Compaction
+from ndf_mi.render.strata import Workspace
 from ndf_mi.run import Run
 
 STATE = "state.safetensors"
@@ -115,10 +116,11 @@ class Trainer:
         seen = quadrature(posed, ray, self.options.samples, jitter=jitter, workspace=self._workspace)
         loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask))
         dr.backward(loss.total)
-        if not self._guard.sound(loss.total, self._step):
+        if not self._guard.sound(loss.total):
             self._guard.refuse(self._step + 1)
             self._seconds += time.perf_counter() - started
             return
+        self._guard.proved(self._step)
 
         weights = self._networks["weights"]
         dr.set_grad(weights, dr.clip(dr.grad(weights), -self.options.clip, self.options.clip))

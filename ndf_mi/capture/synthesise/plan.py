@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ndf_mi.body.body import Body
+from ndf_mi.body.bvh import Clip
 from ndf_mi.body.motion import load_clip, pose_sequence
 from ndf_mi.body.poses import Poses
 from ndf_mi.capture.document import Split
@@ -109,15 +110,11 @@ def motion(body: Body, settings: Settings) -> Poses:
     """
     first = settings.frames - settings.frames // 2
     counts = [(TRAINING_CLIPS[0], first), (TRAINING_CLIPS[1], settings.frames - first), (NOVEL_CLIP, settings.pose_frames)]
+    shown = [(clip, _times(clip, count)) for clip, count in ((load_clip(name), count) for name, count in counts) if count]
+    if settings.sequence_frames:
+        shown.append((load_clip(NOVEL_CLIP), SEQUENCE_START + np.arange(settings.sequence_frames)))
     shape = shape_of(body)
-    parts = []
-    for name, count in [*counts, (None, settings.sequence_frames)]:
-        if count:
-            clip = load_clip(name or NOVEL_CLIP)
-            length = int(clip.duration * 30)
-            spread = np.round((np.arange(count) + 0.5) / count * length).astype(int)
-            frames = spread if name else SEQUENCE_START + np.arange(count)
-            parts.append(pose_sequence(body, clip, frames, rate=30.0, shape=shape, place="treadmill"))
+    parts = [pose_sequence(body, clip, frames, rate=30.0, shape=shape, place="treadmill") for clip, frames in shown]
 
     def joined(field: Callable[[Poses], np.ndarray]) -> np.ndarray:
         return np.concatenate([field(part) for part in parts])
@@ -133,6 +130,11 @@ def motion(body: Body, settings: Settings) -> Poses:
         joined(lambda p: p.translation) - lift,
         shape,
     )
+
+
+def _times(clip: Clip, count: int) -> np.ndarray:
+    """``count`` frames of a clip at 30 Hz, in the middles of equal stretches."""
+    return np.round((np.arange(count) + 0.5) / count * int(clip.duration * 30)).astype(int)
 
 
 def _spread(count: int, chosen: int) -> np.ndarray:
