@@ -16,7 +16,7 @@ from ndf_mi.render.transport_scene import performers
 from ndf_mi.render.transport_surfaces import next_surface, occluded
 
 PATHS_AT_ONCE = 1 << 18
-"""Paths of one pass, if the film has no more pixels: what bounds memory, at about 1 kB a path."""
+"""Paths of one pass, if the film has no more pixels: what bounds memory."""
 
 CHANNELS = {"depth": "depth.T", "opacity": "opacity.A"}
 """What can be asked for beside radiance, and the names of its channels."""
