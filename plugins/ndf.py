@@ -41,6 +41,20 @@ def frame_of(run: Run, props: mi.Properties) -> int:
     return int(props.get("frame", int(run.poses.frames[0])))
 
 
+def offset_of(run: Run, props: mi.Properties) -> np.ndarray:
+    """(3,) float32: how far a plugin's properties have the performer moved, in metres.
+
+    Raises:
+        InputError: it is not finite, or the run's networks take world coordinates, in which a moved performer would be another one.
+    """
+    offset = np.array(props.get("offset", mi.ScalarVector3f(0.0)), dtype=np.float32).reshape(-1)
+    if offset.size != 3 or not np.isfinite(offset).all():
+        raise InputError("ndf: offset", str(offset.tolist()), "three finite numbers, in metres")
+    if offset.any() and run.model.field.preset.coordinates == "world":
+        raise InputError("ndf: offset", str(offset.tolist()), f"none for {run.path}: its networks take world coordinates")
+    return offset
+
+
 def register() -> None:
     """Defines and registers the plugin for the active variant."""
 
@@ -62,6 +76,9 @@ def register() -> None:
          * - frame
            - |int|
            - Frame whose pose the field takes. (Default: the run's first)
+         * - offset
+           - |vector|
+           - Where the performer stands, from where the run has them, in metres. (Default: 0, 0, 0)
          * - scale
            - |float|
            - Factor on the density. (Default: 1)
@@ -99,7 +116,8 @@ def register() -> None:
             field = self.run.model.field
             self.weights = mi.Float(field.weights)
             self.grid = mi.Float(field.grid) if field.grid is not None else None
-            self.vertices = mi.Float(self.run.poses.vertices[self.run.poses.index(self.frame)].ravel())
+            self.offset = offset_of(self.run, props)
+            self.vertices = mi.Float((self.run.poses.vertices[self.run.poses.index(self.frame)] + self.offset).ravel())
             self.pose = self.run.pose_vector(self.frame)
             # A literal would be compiled into every kernel, and again at each new value.
             dr.make_opaque(self.weights, self.grid, self.vertices, self.pose)

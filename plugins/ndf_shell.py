@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.errors import InputError
-from ndf_mi.plugins.ndf import find_run, frame_of
+from ndf_mi.plugins.ndf import find_run, frame_of, offset_of
 from ndf_mi.render.shell import band_shell
 from ndf_mi.run import Run
 
@@ -29,6 +29,9 @@ def make_shell(props: mi.Properties) -> mi.Object:
      * - frame
        - |int|
        - Frame whose pose it follows. (Default: the interior medium's, or without one the run's first)
+     * - offset
+       - |vector|
+       - Where the performer stands, from where the run has them, in metres. (Default: the interior medium's, or without one 0, 0, 0)
      * - layers
        - |int|
        - Number of nested shells at most; 0 for a single one in which the medium keeps the majorant that it has by construction. Fewer are
@@ -44,7 +47,7 @@ def make_shell(props: mi.Properties) -> mi.Object:
        - The ``ndf`` medium, and what is around it, if anything.
 
     - Contains every point of the band; where the body is thick enough, its inside deeper than ``band_inside`` is left out.
-    - The mesh is in the performer's own world coordinates: it takes no ``to_world``.
+    - The mesh is where the performer is: it takes no ``to_world``. What moves it is the ``offset`` of the medium.
     - With ``layers``, the majorants are estimated from samples of the density; a check at other points raises those that it finds
       exceeded, and says so. They are estimated anew when the medium's parameters change, unless gradients of these are enabled.
       The first shape keeps the plugin's id, the others have ``_1``, ``_2`` … added; the parameters are those of the first one's medium.
@@ -66,7 +69,8 @@ def make_shell(props: mi.Properties) -> mi.Object:
     if not 0 < cell < float("inf"):
         raise InputError("ndf_shell: cell", repr(cell), "a length above 0, in metres")
     if "to_world" in props:
-        raise InputError("ndf_shell: to_world", "a transformation", "none: the shell is where the performer is")
+        raise InputError("ndf_shell: to_world", "a transformation", "none: the shell is where the performer is",
+                         "Move the performer by the medium's `offset`.")
     medium = props["interior"] if "interior" in props else None
     field = medium if hasattr(medium, "nest") else None
     if "run" in props:
@@ -79,10 +83,14 @@ def make_shell(props: mi.Properties) -> mi.Object:
     if field is not None and (frame != field.frame or run.path.resolve() != field.run.path.resolve()):
         raise InputError("ndf_shell: interior", f"a medium of {field.run.path}, frame {field.frame}", f"one of {run.path}, frame {frame}",
                          "Leave run and frame of the shell out: they are its medium's.")
+    offset = offset_of(run, props) if field is None or "offset" in props else field.offset
+    if field is not None and (offset != field.offset).any():
+        raise InputError("ndf_shell: interior", f"a medium with the offset {field.offset.tolist()}", f"one with {offset.tolist()}",
+                         "Leave the offset of the shell out: it is its medium's.")
     bsdf = _bsdf(props)
     if layers == 0:
         preset = run.model.field.preset
-        vertices = mi.Float(run.poses.vertices[run.poses.index(frame)].ravel()) if field is None else field.vertices
+        vertices = mi.Float((run.poses.vertices[run.poses.index(frame)] + offset).ravel()) if field is None else field.vertices
         return _mesh(props, *band_shell(run.model.surface, vertices, preset.band, cell, preset.band_inside))
     if field is None:
         raise InputError("ndf_shell: layers", f"{layers} around no `ndf` medium", "an `ndf` medium as its interior")

@@ -14,8 +14,8 @@ from ndf_mi.render.transport import Performer
 def performers(scene: mi.Scene, who: str) -> list[Performer]:
     """The fields of a scene's ``ndf`` media, with the parameters that they have now, in the order of the scene's shapes.
 
-    Several media of one run, frame and scale are one performer, seen once, and the first speaks for all; so are the layers between nested
-    shells, each of which names the medium that it is part of as its `field`.
+    Several media of one run, frame, scale and offset are one performer, seen once, and the first speaks for all; so are the layers between
+    nested shells, each of which names the medium that it is part of as its `field`.
 
     Args:
         who: the integrator, for messages.
@@ -28,7 +28,7 @@ def performers(scene: mi.Scene, who: str) -> list[Performer]:
         for medium in (shape.interior_medium(), shape.exterior_medium()):
             if medium is not None:
                 field = _field(medium, f"{who}: {_name(shape)}")
-                found.setdefault((os.path.realpath(field.run.path), field.frame, field.scale), field)
+                found.setdefault((os.path.realpath(field.run.path), field.frame, field.scale, tuple(field.offset.tolist())), field)
         if shape.interior_medium() is not None:
             _check_bsdf(shape, who)
     for sensor in scene.sensors():

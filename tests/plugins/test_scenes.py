@@ -39,16 +39,18 @@ def test_the_turntable_turns(make_run):
     assert not np.allclose(*(mi.render(load("turntable", run, angle=angle)).numpy() for angle in (0, 90)), atol=1e-3)
 
 
-def test_two_performers_stand_where_their_runs_have_them(make_constant_run):
-    """A run whose poses are moved is a performer elsewhere, as the scenes' README says."""
+def test_two_performers_stand_where_they_were_put(make_constant_run):
+    """By the medium's offset; and a run whose poses are moved is a performer elsewhere too, in the same picture."""
     run, other = (make_constant_run(60.0, (0.9, 0.1, 0.1)), make_constant_run(60.0, (0.1, 0.1, 0.9), name="other"))
-    other.poses.vertices[:] += np.float32([0.9, 0, 0])
-    other.save()
-    scene = load("two", run, other=str(other.path), width=32, height=16, origin="0.45, 0.3, 3", target="0.45, 0.3, 0", spp=16)
-    image = mi.render(scene).numpy()
+    view = {"width": 32, "height": 16, "origin": "0.45, 0.3, 3", "target": "0.45, 0.3, 0", "spp": 16}
+    image = mi.render(load("two", run, other=str(other.path), other_offset="0.9, 0, 0", **view)).numpy()
     left, right = image[4:12, :16], image[4:12, 16:]
     assert (left[..., 0] > 2 * left[..., 2]).any() and not (left[..., 2] > 2 * left[..., 0]).any()
     assert (right[..., 2] > 2 * right[..., 0]).any() and not (right[..., 0] > 2 * right[..., 2]).any()
+    other.poses.vertices[:] += np.float32([0.9, 0, 0])
+    other.save()
+    moved = mi.render(load("two", run, other=str(other.path), other_offset="0, 0, 0", **view)).numpy()
+    np.testing.assert_allclose(moved, image, atol=1e-4)
 
 
 def test_every_scene_is_in_the_readme_and_has_its_picture():

@@ -252,7 +252,8 @@ def test_a_density_above_its_majorant_is_told_with_place_and_remedy(make_run, ca
     ({"cell": 0.0}, ["cell", "0"]),
     ({"frame": 2}, ["interior", "frame 0", "frame 2"]),
     ({"interior": {"type": "homogeneous"}}, ["run", "nothing"]),
-    ({"to_world": mi.ScalarTransform4f().scale(2)}, ["to_world"]),
+    ({"to_world": mi.ScalarTransform4f().scale(2)}, ["to_world", "offset"]),
+    ({"offset": [1, 0, 0]}, ["interior", "offset", "1.0"]),
 ])
 def test_wrong_parameters_of_the_shell_are_named(make_run, change, words):
     run = make_run()
@@ -260,6 +261,32 @@ def test_wrong_parameters_of_the_shell_are_named(make_run, change, words):
         mi.load_dict({**performer(run), **change})
     for word in words:
         assert word in str(caught.value)
+
+
+@pytest.mark.parametrize("layers", [0, 3])
+def test_an_offset_moves_performer_and_shell(make_run, layers):
+    """The same rays, moved with the performer, see the same: the shells lie where they lay, and the camera too."""
+    run, _ = make_ridge(make_run)
+    place = np.array([0.5, -0.25, 1.0])
+    pictures, bounds = [], []
+    for offset in (np.zeros(3), place):
+        shape = performer(run, layers)
+        shape["interior"] = {**shape["interior"], "offset": offset.tolist()}
+        camera = sensor(origin=tuple(np.array([0, 0, 2.0]) + offset), target=tuple(offset))
+        scene = scene_of({"performer": shape}, camera=camera)
+        bounds.append([np.array(corner).ravel() - offset for corner in (scene.bbox().min, scene.bbox().max)])
+        pictures.append(means(scene, spp=64, count=4))
+    np.testing.assert_allclose(bounds[0], bounds[1], atol=1e-5)
+    agree(*pictures)
+
+
+@pytest.mark.parametrize(("change", "offset", "word"), [
+    ({}, [float("nan"), 0, 0], "finite"),
+    ({"coordinates": "world", "normal_octaves": -1}, [1, 0, 0], "world coordinates"),
+])
+def test_an_offset_that_cannot_be_is_refused(make_run, change, offset, word):
+    with pytest.raises(RuntimeError, match=word):
+        mi.load_dict({"type": "ndf", "run": str(make_run(**change).path), "offset": offset})
 
 
 def test_one_medium_in_two_nests_is_refused(make_run):
