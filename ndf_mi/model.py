@@ -82,12 +82,19 @@ class PosedModel:
         kept, lone = self._occupancy.keep(self.unit(found.uv, found.l))
         return triangle | dr.select(lone, mi.UInt32(_LONE), 0), keep & kept
 
+    def density(self, x: mi.Point3f, handle: mi.UInt32, active: mi.Bool) -> mi.Float:
+        """The density at located points, times the number of samples that each stands for; detached, for evaluated code."""
+        with dr.suspend_grad():
+            found = self.surface.project_onto(self._triangle(handle), x, active)
+            active = active & found.valid & (found.l >= -self._inside)
+            sigma = self.bound.density(self._coordinates(x, found, active), active)
+            return dr.select(active, sigma * self._fading(found.l) * self._weight(handle), 0.0)
+
     def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: mi.UInt32, active: mi.Bool) -> FieldSample:
         """Density, colour and coordinates at located points, for evaluated code; attached to x, vertices and weights."""
-        if self._occupancy is None:
-            return self._evaluate(x, d, handle, active)
-        sample = self._evaluate(x, d, handle & (_LONE - 1), active)
-        sample.weight = dr.select((handle & _LONE) != 0, 1.0 / self._occupancy.explore, 1.0)
+        sample = self._evaluate(x, d, self._triangle(handle), active)
+        if self._occupancy is not None:
+            sample.weight = self._weight(handle)
         return sample
 
     def fused(self, x: mi.Point3f, d: mi.Vector3f, active: mi.Bool | bool = True) -> FieldSample:
@@ -120,8 +127,23 @@ class PosedModel:
         if fused and not symbolic:
             # Each of the arrays would otherwise be a kernel of its own with the whole network in it.
             dr.eval(sigma, colour, l, uv, found.normal)
+        sigma = dr.select(active, sigma * self._fading(l), 0.0)
+        return FieldSample(sigma, colour, mi.Point3f(uv.x, uv.y, l), found.normal)
+
+    def _triangle(self, handle: mi.UInt32) -> mi.UInt32:
+        return handle if self._occupancy is None else handle & (_LONE - 1)
+
+    def _weight(self, handle: mi.UInt32) -> mi.Float:
+        """How many samples each stands for."""
+        if self._occupancy is None:
+            return mi.Float(1.0)
+        return dr.select((handle & _LONE) != 0, mi.Float(1.0 / self._occupancy.explore), 1.0)
+
+    def _fading(self, l: mi.Float) -> mi.Float:
+        """Factor on the density, smoothly from 1 to 0 towards the band's edges."""
+        factor = mi.Float(1.0)
         if self._fade > 0:
             for depth in ((self._band - l) / self._band, (self._inside + l) / self._inside):
                 s = dr.clip(depth / self._fade, 0.0, 1.0)
-                sigma *= s * s * dr.fma(s, -2.0, 3.0)
-        return FieldSample(dr.select(active, sigma, 0.0), colour, mi.Point3f(uv.x, uv.y, l), found.normal)
+                factor *= s * s * dr.fma(s, -2.0, 3.0)
+        return factor

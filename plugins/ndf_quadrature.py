@@ -11,7 +11,6 @@ from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel
 from ndf_mi.render import properties
 from ndf_mi.render.quadrature import Radiance, quadrature
-from ndf_mi.render.strata import Workspace
 
 RAYS_AT_ONCE = 1 << 15
 """Rays of one pass: what bounds memory, at about 50 bytes a candidate sample."""
@@ -71,7 +70,6 @@ def register() -> None:
             self.samples = properties.count(props, "ndf_quadrature", "samples", 128)
             self.stratified = bool(props.get("stratified", False))
             self.aovs = properties.aovs(props, "ndf_quadrature", CHANNELS)
-            self._workspace = Workspace()
 
         def aov_names(self) -> list[str]:
             return [channel for name in self.aovs for channel in CHANNELS[name]]
@@ -101,7 +99,7 @@ def register() -> None:
             if offset is not None:
                 jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples * model.strata)
             geometry = "uvl" in self.aovs or "normal" in self.aovs
-            return quadrature(model, part, self.samples, jitter=jitter, scale=scale, workspace=self._workspace, geometry=geometry)
+            return quadrature(model, part, self.samples, jitter=jitter, scale=scale, geometry=geometry)
 
         def _aov_values(self, passes: list[Radiance]) -> list[mi.Float]:
             values: list[mi.Float] = []

@@ -47,6 +47,27 @@ def test_gradients_reach_the_vertices(run, trial):
     assert slope == pytest.approx((ahead - behind) / (2 * h), rel=1e-2)
 
 
+@pytest.mark.parametrize("widths", [(16,), (96,)])
+def test_what_is_hidden_is_left_out_without_being_missed(make_run, widths):
+    """Picture and gradients stay, to the share of light that is asked for, and fewer samples reach the networks."""
+    run = make_run(seed=3, density_bias=1.0, density_gain=60.0, grid_finest=16, density_layers=widths)
+    run.model.field.grid = run.model.field.grid * 5e3
+    ray, weights = rays(2000)
+    found = []
+    for hidden in (0.0, 1e-3):
+        field = run.model.field
+        field.weights = mi.Float(field.weights.numpy())
+        dr.enable_grad(field.weights)
+        seen = quadrature(run.posed(0), ray, 256, hidden=hidden)
+        dr.backward(dr.sum((seen.colour.x + 0.3 * seen.opacity) * mi.Float(weights.astype(np.float32))))
+        found.append((seen, dr.grad(field.weights).numpy()))
+    (whole, slope), (part, other) = found
+    np.testing.assert_allclose(part.colour.numpy(), whole.colour.numpy(), atol=1e-3)
+    np.testing.assert_allclose(part.opacity.numpy(), whole.opacity.numpy(), atol=1e-3)
+    assert part.evaluated < 0.7 * whole.evaluated
+    assert np.linalg.norm(other - slope) < 0.01 * np.linalg.norm(slope)
+
+
 def test_symbolic_and_batched_evaluation_agree(run):
     rng = np.random.default_rng(1)
     x = mi.Point3f(rng.uniform(-0.4, 0.4, (3, 20_000)).astype(np.float32))

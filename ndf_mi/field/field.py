@@ -13,6 +13,7 @@ import drjit.nn as nn
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi import variants
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.field.encoding import GridEncoding, frequency
 from ndf_mi.field.layers import Layer, initial_weights, layout
@@ -73,6 +74,7 @@ class BoundField:
         self._encoding = field._encoding
         self._grid = field.grid
         self._packed: dict[str, tuple[Any, Any]] | None = None
+        self._packed_detached: dict[str, tuple[Any, Any]] | None = None
         self.width = max(layer.outputs for name, layer in field.layers.items() if not name.startswith("pose"))
 
         features = mi.TensorXf(pose, (3 * field.joints, 1))
@@ -122,10 +124,26 @@ class BoundField:
 
     def pack(self) -> None:
         """Lays the weights out for :meth:`fused`; attached, so that gradients reach the field's weights."""
-        names = list(self._tensors)
-        flat = [t if t.ndim == 2 and t.shape[1] > 1 else dr.ravel(t) for name in names for t in self._tensors[name]]
-        views = nn.pack(*[mi.TensorXf(t) for t in flat], layout="training")
-        self._packed = {name: (views[2 * i], views[2 * i + 1]) for i, name in enumerate(names)}
+        self._packed = _pack(self._tensors)
+
+    def density(self, u: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
+        """σ alone of :meth:`batched`, detached and evaluated, by whichever form is the quicker; for evaluated code.
+
+        Args:
+            u: as for :meth:`batched`.
+            active: N lanes that are wanted.
+        """
+        with dr.suspend_grad():
+            # Neither enters the density.
+            nowhere = dr.full(mi.Vector3f, 1.0, dr.width(u[0]))
+            if self.width > variants.fused_width():
+                sigma, _ = self.batched(u, nowhere, mi.Normal3f(nowhere))
+            else:
+                if self._packed_detached is None:
+                    self._packed_detached = _pack({name: (dr.detach(w), dr.detach(b)) for name, (w, b) in self._tensors.items()})
+                sigma, _ = self._evaluate(_Fused(self._packed_detached), u, nowhere, mi.Normal3f(nowhere), active)
+            dr.eval(sigma)
+        return sigma
 
     def _evaluate(
         self, run: _Engine, u: Any, d: Any, n: Any, active: mi.Bool | bool = True
@@ -179,6 +197,13 @@ class BoundField:
         for i in range(count):
             h = run.relu(run.linear(f"{name}{i}", h))
         return h
+
+
+def _pack(tensors: dict[str, tuple[mi.TensorXf, mi.TensorXf]]) -> dict[str, tuple[Any, Any]]:
+    """Matrices and biases as views of one packed array."""
+    flat = [t if t.ndim == 2 and t.shape[1] > 1 else dr.ravel(t) for pair in tensors.values() for t in pair]
+    views = nn.pack(*[mi.TensorXf(t) for t in flat], layout="training")
+    return {name: (views[2 * i], views[2 * i + 1]) for i, name in enumerate(tensors)}
 
 
 def _split(weights: mi.Float, layer: Layer) -> tuple[mi.TensorXf, mi.TensorXf, mi.TensorXf | None]:

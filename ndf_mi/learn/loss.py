@@ -34,13 +34,13 @@ class ImageLoss:
         self._edge_scale = options.edge_weight / density_gain
         self._edge_on = dr.opaque(mi.Float, 0.0)
 
-    def __call__(self, seen: Radiance, target: mi.Color3f, mask: mi.Float) -> Loss:
-        """Loss of N rays against `target` (sRGB) and `mask` (1 on the performer)."""
+    def __call__(self, seen: Radiance, target: mi.Color3f, mask: mi.Float, sure: mi.Float) -> Loss:
+        """Loss of N rays against `target` (sRGB) and, where `sure` is 1 rather than 0, `mask` (1 on the performer)."""
         colour = linear_to_srgb(seen.colour + (1.0 - seen.opacity) * self._background)
         image = dr.mean(dr.squared_norm(colour - target)) / 3.0
         total = image
         if self._options.opacity_weight > 0:
-            total = total + self._options.opacity_weight * dr.mean(dr.square(seen.opacity - mask))
+            total = total + self._options.opacity_weight * dr.mean(sure * dr.square(seen.opacity - mask))
         if self._options.edge_weight > 0:
             at_edge = seen.inside & (dr.abs(dr.detach(seen.samples.u.z)) > self._edge)
             count = dr.maximum(dr.sum(dr.select(at_edge, mi.Float(1), 0.0)), 1.0)

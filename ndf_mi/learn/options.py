@@ -33,6 +33,9 @@ class TrainingOptions:
     skip_empty: bool = True
     """Leave out samples where the field has been found empty, but for a random eighth of them."""
 
+    skip_hidden: float = 1e-3
+    """Leave out samples that less than this share of the light gets to, past those before; 0 leaves none out."""
+
     mask_share: float = 0.5
     """Share of the rays that are drawn from the mask's pixels, the others from the body's padded box."""
 
@@ -61,6 +64,10 @@ class TrainingOptions:
     opacity_weight: float = 0.05
     """Weight of the mean squared difference of opacity and mask."""
 
+    opacity_edge: int = 3
+    """Pixels whose surroundings of this size hold both performer and background are left out of that term: the performer covers
+    only part of them, which a mask doesn't say. 0 leaves none out."""
+
     edge_weight: float = 0.1
     """Weight of the mean density near the band's edge (|l| above 0.8 of it), in units of the preset's `density_gain`, once the
     image error is below `edge_below`."""
@@ -81,12 +88,14 @@ class TrainingOptions:
         for key in ("steps", "rays", "samples", "learning_rate", "grid_rate", "decay", "clip", "checkpoint_seconds"):
             if not 0 < getattr(self, key) < float("inf"):
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number above 0")
-        for key in ("seconds", "pose_noise", "edge_kernel", "box_padding", "decay_steps", "opacity_weight", "edge_weight", "edge_below",
-                    "seed"):
+        for key in ("seconds", "pose_noise", "edge_kernel", "opacity_edge", "box_padding", "decay_steps", "opacity_weight", "edge_weight",
+                    "edge_below", "seed", "skip_hidden"):
             if not 0 <= getattr(self, key) < float("inf"):
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number from 0 on")
         if self.atlas not in ("body", "one-piece"):
             raise InputError("option atlas", repr(self.atlas), "body or one-piece")
+        if not self.skip_hidden < 1:
+            raise InputError("option skip-hidden", repr(self.skip_hidden), "a transmittance in [0, 1)")
         if not 0 <= self.mask_share <= 1:
             raise InputError("option mask-share", repr(self.mask_share), "a number in [0, 1]")
 
@@ -97,11 +106,11 @@ class TrainingOptions:
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "training") -> TrainingOptions:
         """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
-        # Trainings written down before there was noise on the pose were made without.
-        return read_options(cls(), {"pose_noise": 0.0, **values}, where)
+        # Trainings written down before there was noise on the pose were made without, and so on.
+        return read_options(cls(), {"pose_noise": 0.0, "opacity_edge": 0, "skip_hidden": 0.0, **values}, where)
 
     @classmethod
     def paper(cls) -> TrainingOptions:
         """The published schedule and loss."""
         return cls(steps=200_000, edge_kernel=3, learning_rate=5e-4, decay_steps=500_000, opacity_weight=0.0,
-                   skip_empty=False, pose_noise=0.0)
+                   skip_empty=False, skip_hidden=0.0, pose_noise=0.0)

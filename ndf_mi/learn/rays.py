@@ -17,13 +17,14 @@ from ndf_mi.learn.options import TrainingOptions
 @dataclass(frozen=True)
 class RayBatch:
     """R rays of one frame, numpy float32: `origin` and unit `direction` (3, R) in world space, `target` (3, R) sRGB in [0, 1],
-    `mask` (R,) 1 on the performer, else 0."""
+    `mask` (R,) 1 on the performer, else 0, and `sure` (R,) 1 where the mask says what the opacity is, else 0."""
 
     frame: int
     origin: np.ndarray
     direction: np.ndarray
     target: np.ndarray
     mask: np.ndarray
+    sure: np.ndarray
 
 
 class RaySampler:
@@ -40,6 +41,7 @@ class RaySampler:
             raise InputError(f"{capture.path / 'capture.json'}: splits.train", "no cameras or no frames", "at least one of each")
         self._images: dict[tuple[int, int], np.ndarray] = {}
         self._masks: dict[tuple[int, int], np.ndarray] = {}
+        self._sure: dict[tuple[int, int], np.ndarray] = {}
         self._on_mask: dict[tuple[int, int], np.ndarray] = {}
         self._in_box: dict[tuple[int, int], np.ndarray] = {}
         for row, frame in enumerate(self._frames):
@@ -54,6 +56,7 @@ class RaySampler:
                     raise InputError(f"camera {name}, frame {frame}", "no pixel of the performer in view", "a mask that is not empty")
                 self._images[key] = np.round(capture.image(name, frame) * 255).astype(np.uint8).reshape(-1, 3)
                 self._masks[key] = mask.ravel()
+                self._sure[key] = ~_edge(mask, options.opacity_edge).ravel()
                 self._on_mask[key] = np.flatnonzero(mask & allowed).astype(np.uint32)
                 self._in_box[key] = np.flatnonzero(box).astype(np.uint32)
 
@@ -65,8 +68,8 @@ class RaySampler:
         counts[: options.rays % len(self._cameras)] += 1
         rng.shuffle(counts)
         parts = [self._draw(rng, (row, column), int(count)) for column, count in enumerate(counts) if count]
-        origin, direction, target, mask = (np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True))
-        return RayBatch(self._frames[row], origin, direction, target, mask)
+        origin, direction, target, mask, sure = (np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True))
+        return RayBatch(self._frames[row], origin, direction, target, mask, sure)
 
     def _draw(self, rng: np.random.Generator, key: tuple[int, int], count: int) -> tuple[np.ndarray, ...]:
         on_mask = round(count * self._options.mask_share)
@@ -74,7 +77,8 @@ class RaySampler:
         camera = self._cameras[key[1]]
         origin, direction = pixel_rays(camera, pixels)
         return (origin.astype(np.float32), direction.astype(np.float32),
-                self._images[key][pixels].T.astype(np.float32) / 255, self._masks[key][pixels].astype(np.float32))
+                self._images[key][pixels].T.astype(np.float32) / 255, self._masks[key][pixels].astype(np.float32),
+                self._sure[key][pixels].astype(np.float32))
 
 
 def pixel_rays(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,18 +21,10 @@ from ndf_mi.learn.rays import RaySampler
 from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
 from ndf_mi.model import PosedModel
 from ndf_mi.render.quadrature import quadrature
-from ndf_mi.render.sampling import Compaction
-from ndf_mi.render.strata import Workspace
 from ndf_mi.run import Run
 
 STATE = "state.safetensors"
 _SMOOTHING = 0.98
-_MARGIN = 1.2
-"""Room for steps with more samples than those before: outgrown, all kernels of that size are compiled anew."""
-_SETTLE = (192, 256, 448, 512, 960, 1024, 3008, 3072)
-"""Steps before which array sizes are fitted to what was needed since the step before in this list; each time, some kernels may be
-compiled anew. In pairs, so that the second of a pair goes by the last few dozen steps."""
-
 
 @dataclass(frozen=True)
 class Progress:
@@ -66,7 +58,6 @@ class Trainer:
         preset = run.model.field.preset
         self._candidates = options.rays * options.samples * preset.strata
         self._loss = ImageLoss(options, mi.Color3f(*[float(v) for v in run.background]), preset.band, preset.density_gain)
-        self._workspace = Workspace(Compaction(margin=_MARGIN), Compaction(margin=_MARGIN))
         field = run.model.field
         self._networks = mi.ad.Adam(lr=options.learning_rate, params={"weights": field.weights})
         # Most entries of the table see no sample in a step: those keep their value and moments, as in the grid's paper.
@@ -100,9 +91,6 @@ class Trainer:
             InputError: smaller rates have not helped.
         """
         started = time.perf_counter()
-        if self._step in _SETTLE:
-            self._workspace.near.settle()
-            self._workspace.inside.settle()
         self._set_rates()
         batch = self._rays(self._rng)
         jitter = mi.Float(self._rng.random(self._candidates, dtype=np.float32))
@@ -113,8 +101,8 @@ class Trainer:
             field.grid = self._table["grid"]
         posed = PosedModel(self.run.model, self.run.surface(batch.frame), self._pose(batch.frame), self._occupancy)
         ray = mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction))
-        seen = quadrature(posed, ray, self.options.samples, jitter=jitter, workspace=self._workspace)
-        loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask))
+        seen = quadrature(posed, ray, self.options.samples, jitter=jitter, hidden=self.options.skip_hidden)
+        loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask), mi.Float(batch.sure))
         dr.backward(loss.total)
         if not self._guard.sound(loss.total):
             self._guard.refuse(self._step + 1)
@@ -163,8 +151,6 @@ class Trainer:
             "error": None if math.isnan(self._error) else self._error,
             "rate_factor": self._guard.factor,
             "random": self._rng.bit_generator.state,
-            "near": [self._workspace.near.size, self._workspace.near.largest],
-            "inside": [self._workspace.inside.size, self._workspace.inside.largest],
         }
         write_state(self.run.path / STATE, tensors, facts)
         self.publish()
@@ -188,8 +174,6 @@ class Trainer:
             # States written before rates could be made smaller lack it.
             self._guard.factor = float(facts.get("rate_factor", 1.0))
             self._guard.keep()
-            for compaction, key in ((self._workspace.near, "near"), (self._workspace.inside, "inside")):
-                compaction.size, compaction.largest = map(int, facts[key])
             if self._occupancy is not None:
                 self._occupancy.restore(tensors["occupancy"], self._step)
         except (KeyError, TypeError, ValueError) as error:

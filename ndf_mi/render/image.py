@@ -9,7 +9,7 @@ with L_k and opacity_k from round k alone. A ray that is left out at T ≤ `cuto
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import drjit as dr
@@ -18,8 +18,8 @@ import numpy as np
 
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.render.quadrature import quadrature
-from ndf_mi.render.sampling import Rounding, box_interval
-from ndf_mi.render.strata import VolumeField, Workspace
+from ndf_mi.render.sampling import box_interval
+from ndf_mi.render.strata import VolumeField
 
 LANES = 1 << 19
 """Candidate samples looked at at once. Every tile has as many rays as make this number, so that one set of kernels serves all."""
@@ -62,7 +62,6 @@ class ImageRenderer:
     """Renders images of fields at a fixed number of samples a ray."""
 
     samples: int = 128
-    workspace: Workspace = field(default_factory=lambda: Workspace(Rounding(), Rounding()))
     spp: int = 1
     """Rays a pixel: 1 goes through the centre; more are spread over the pixel by a low-discrepancy sequence and averaged."""
     rounds: int = 4
@@ -100,7 +99,7 @@ class ImageRenderer:
                 rays = self._rays(camera, mi.UInt32(padded), place)
                 # The padding's rays end where they start, and so cost next to nothing.
                 rays.maxt = dr.select(dr.arange(mi.UInt32, tile) < dr.opaque(mi.UInt32, len(chosen)), dr.inf, 0.0)
-                seen = quadrature(volume, rays, self.samples, window=(number * count, count), workspace=self.workspace, geometry=geometry)
+                seen = quadrature(volume, rays, self.samples, window=(number * count, count), geometry=geometry)
                 rows = [*seen.colour, seen.opacity, seen.depth]
                 if seen.u is not None and seen.normal is not None:
                     rows += [*seen.u, *seen.normal]

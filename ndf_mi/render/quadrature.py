@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from ndf_mi.field.sample import FieldSample
 from ndf_mi.numerics import expm1
-from ndf_mi.render.strata import VolumeField, Workspace, sample_strata
+from ndf_mi.render.strata import VolumeField, sample_strata
 
 
 @dataclass
@@ -48,7 +48,7 @@ def quadrature(
     jitter: mi.Float | None = None,
     window: tuple[int, int] | None = None,
     scale: float = 1.0,
-    workspace: Workspace | None = None,
+    hidden: float = 0.0,
     geometry: bool = False,
 ) -> Radiance:
     """Renders `volume` along N rays (directions of unit length) with `samples` candidate samples each.
@@ -60,15 +60,14 @@ def quadrature(
         jitter: N·samples·strata numbers in [0, 1) for stratified sampling; None for the strata's middles. Not with `window`.
         window: first of the samples and how many of them to look at: the part of the ray that those strata cover. None for all.
         scale: factor on the density.
-        workspace: keeps array sizes steady over calls; a fresh one is made where None.
+        hidden: transmittance below which samples are left out, as in :func:`ndf_mi.render.strata.sample_strata`; 0 for never.
         geometry: also return (u, v, l) and normals.
     """
-    workspace = workspace or Workspace()
     rays = max(dr.width(ray.o), dr.width(ray.d))
     ray = mi.Ray3f(ray)
     ray.o = ray.o + dr.zeros(mi.Vector3f, rays)
     ray.d = ray.d + dr.zeros(mi.Vector3f, rays)
-    strata = sample_strata(volume, ray, samples, workspace, jitter=jitter, window=window)
+    strata = sample_strata(volume, ray, samples, jitter=jitter, window=window, hidden=hidden)
     sample = strata.sample
     tau = strata.optical_depth(scale)
     weight = dr.exp(-dr.block_prefix_sum(tau, strata.count, exclusive=True)) * -expm1(-tau)

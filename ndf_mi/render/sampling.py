@@ -63,50 +63,14 @@ def rounded(count: int, unit: int) -> int:
     return size
 
 
-class Compaction:
-    """Chooses the lanes where a mask holds, padded to a size that seldom changes.
+def compact(mask: mi.Bool) -> tuple[mi.UInt32, mi.Bool, int]:
+    """The lanes where a mask holds, padded to one of a few sizes (:func:`rounded`).
 
-    Sizes are Python numbers and enter kernels: each new one costs a compilation. The size therefore only grows by itself, with a
-    margin, from `size` where that is given; :meth:`settle` lets it shrink.
+    Sizes are Python numbers and enter kernels: each new one costs a compilation.
 
-    Attributes:
-        size: of the arrays returned.
-        largest: number of lanes chosen at most since the last settling.
+    Returns:
+        the chosen lanes' indices (0 in the padding), which entries are real, and how many those are. Evaluates `mask`.
     """
-
-    def __init__(self, size: int = 0, margin: float = 1.25) -> None:
-        self.size = size
-        self.margin = margin
-        self.largest = 0
-
-    def __call__(self, mask: mi.Bool) -> tuple[mi.UInt32, mi.Bool, int]:
-        """Returns the chosen lanes' indices (0 in the padding), which entries are real, and how many those are. Evaluates `mask`."""
-        chosen = dr.compress(mask)
-        count = dr.width(chosen)
-        self.largest = max(self.largest, count)
-        self.size = self._fit(count)
-        return *pad(chosen, count, self.size), count
-
-    def settle(self) -> None:
-        """Shrinks the size to what the calls since the last settling needed, if that is much less."""
-        needed = max(self._padded(self.largest), QUANTUM)
-        if self.largest and needed < 0.9 * self.size:
-            self.size = needed
-        self.largest = 0
-
-    def _fit(self, count: int) -> int:
-        return max(self._padded(count) if count > self.size else self.size, QUANTUM)
-
-    def _padded(self, count: int) -> int:
-        return -(-int(count * self.margin) // QUANTUM) * QUANTUM
-
-
-class Rounding(Compaction):
-    """Chooses lanes alike, but rounds each call's size up to one of a few (:func:`rounded`).
-
-    For calls that differ widely in how many lanes they choose, as bounces of paths do, and parts of rays from front to back: the largest
-    size ever needed would have several times as many lanes evaluated as there are.
-    """
-
-    def _fit(self, count: int) -> int:
-        return rounded(count, QUANTUM)
+    chosen = dr.compress(mask)
+    count = dr.width(chosen)
+    return *pad(chosen, count, rounded(count, QUANTUM)), count

@@ -6,14 +6,15 @@ gathered again, and only then evaluated. Where candidates are, and which are eva
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
 
 from ndf_mi.field.sample import FieldSample
-from ndf_mi.render.sampling import Compaction, box_interval, stratified
+from ndf_mi.render.sampling import box_interval, compact, stratified
 
 
 class VolumeField(Protocol):
@@ -32,17 +33,13 @@ class VolumeField(Protocol):
         """Detached search: a handle of each point (an array to be gathered from), and whether the field is defined there."""
         ...
 
+    def density(self, x: mi.Point3f, handle: Any, active: mi.Bool) -> mi.Float:
+        """σ at located points in 1/m, times the number of samples that each stands for; detached. Only asked for to find what is hidden."""
+        ...
+
     def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: Any, active: mi.Bool) -> FieldSample:
         """The field at located points; inactive lanes must be finite and are ignored."""
         ...
-
-
-@dataclass
-class Workspace:
-    """How the candidates left by either test are gathered. One for each kind of call (training, tiles), so that sizes stay steady."""
-
-    near: Compaction = field(default_factory=Compaction)
-    inside: Compaction = field(default_factory=Compaction)
 
 
 @dataclass
@@ -84,21 +81,22 @@ def sample_strata(
     volume: VolumeField,
     ray: mi.Ray3f,
     samples: int,
-    workspace: Workspace,
     *,
     jitter: mi.Float | None = None,
     window: tuple[int, int] | None = None,
     active: mi.Bool | bool = True,
+    hidden: float = 0.0,
 ) -> Strata:
     """Evaluates `volume` in equal strata of the rays' way through its box.
 
     Args:
         ray: N rays, directions of unit length, that end at `maxt`.
         samples: candidates a ray, times the field's own `strata`.
-        workspace: how lanes are gathered.
         jitter: N·samples·strata numbers in [0, 1), where in its stratum each candidate lies; None for the middles. Not with `window`.
         window: first of the samples and how many of them to look at: the part of the ray that those strata cover. None for all.
         active: N; the others count as missing the box.
+        hidden: samples that less than this share of the light gets to, past those before, are left out: for where an evaluation is much
+            dearer than one of the densities alone, which this costs. 0 for none.
     """
     first, count = window or (0, samples)
     first, count, samples = first * volume.strata, count * volume.strata, samples * volume.strata
@@ -122,14 +120,21 @@ def sample_strata(
         candidate = dr.gather(mi.Bool, hit, lane // count) & volume.near(at(lane, t)[0])
         width = (far - near) / count
         dr.eval(candidate, t, delta, near, width)
-        chosen, real, _ = workspace.near(candidate)
+        chosen, real, _ = compact(candidate)
         handle, inside = volume.locate(at(chosen, dr.gather(mi.Float, t, chosen))[0], real)
         inside &= real
         dr.eval(handle, inside)
-        second, real, evaluated = workspace.inside(inside)
+        second, real, evaluated = compact(inside)
         index = dr.gather(mi.UInt32, chosen, second)
         handle = dr.gather(type(handle), handle, second)
         dr.eval(index, handle, real)
+        if hidden > 0:
+            sigma = volume.density(at(index, dr.gather(mi.Float, t, index))[0], handle, real)
+            before = dr.block_prefix_sum(scatter(sigma, index, real, rays * count) * delta, count, exclusive=True)
+            third, real, evaluated = compact(real & (dr.gather(mi.Float, before, index, real) < -math.log(hidden)))
+            index = dr.gather(mi.UInt32, index, third)
+            handle = dr.gather(type(handle), handle, third)
+            dr.eval(index, handle)
 
     x, d = at(index, dr.gather(mi.Float, t, index))
     return Strata(count, near, width, t, delta, volume.evaluate(x, d, handle, real), index, real, evaluated)

@@ -12,14 +12,14 @@ field is then piecewise linear along the ray, and may be read off at the strata'
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 
 from ndf_mi.numerics import expm1
-from ndf_mi.render.sampling import Rounding, box_interval, pad, rounded
-from ndf_mi.render.strata import Strata, VolumeField, Workspace, sample_strata, scatter
+from ndf_mi.render.sampling import box_interval, pad, rounded
+from ndf_mi.render.strata import Strata, VolumeField, sample_strata, scatter
 
 TILE = 4096
 """Rays integrated at once at most: what bounds the candidates' memory, at about 50 bytes each."""
@@ -90,7 +90,6 @@ class Transport:
 
     samples: int
     tile: int = TILE
-    workspace: Workspace = field(default_factory=lambda: Workspace(Rounding(), Rounding()))
     evaluated: int = 0
 
     def __call__(
@@ -154,7 +153,7 @@ class Transport:
         volume = performer.volume
         if jitter is not None:
             jitter = dr.repeat(jitter, self.samples * volume.strata)
-        strata = sample_strata(volume, ray, self.samples, self.workspace, jitter=jitter, active=real)
+        strata = sample_strata(volume, ray, self.samples, jitter=jitter, active=real)
         self.evaluated += strata.evaluated
         tau = strata.optical_depth(performer.scale)
         before = dr.block_prefix_sum(tau, strata.count, exclusive=True)

@@ -16,6 +16,7 @@ from ndf_mi.learn.loss import ImageLoss, Loss
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RaySampler, box_pixels, pixel_rays
 from ndf_mi.render.image import ImageRenderer
+from ndf_mi.render.quadrature import Radiance
 from ndf_mi.run import Run
 
 OPTIONS = TrainingOptions(steps=60, rays=256, samples=24, seed=4)
@@ -70,15 +71,20 @@ def test_nothing_is_compiled_once_warm(capture, tmp_path):
     assert [kernel["size"] for kernel in history if not kernel["cache_hit"]] == []
 
 
+def from_the_ball(capture, batch):
+    """How far each ray passes from the ball's centre, and the ball's radius."""
+    vertices = capture.poses.vertices[capture.poses.index(batch.frame)]
+    centre, radius = vertices.mean(0), np.linalg.norm(vertices - vertices.mean(0), axis=1).max()
+    away = batch.origin - centre[:, None]
+    return np.linalg.norm(away - (away * batch.direction).sum(0) * batch.direction, axis=0), radius
+
+
 def test_rays_hit_what_they_should(capture):
     sampler = RaySampler(capture, capture.splits["train"], dataclasses.replace(OPTIONS, rays=1000))
     batch = sampler(np.random.default_rng(0))
     assert batch.origin.shape == batch.direction.shape == batch.target.shape == (3, 1000)
     np.testing.assert_allclose(np.linalg.norm(batch.direction, axis=0), 1, atol=1e-6)
-    vertices = capture.poses.vertices[capture.poses.index(batch.frame)]
-    centre, radius = vertices.mean(0), np.linalg.norm(vertices - vertices.mean(0), axis=1).max()
-    away = batch.origin - centre[:, None]
-    distance = np.linalg.norm(away - (away * batch.direction).sum(0) * batch.direction, axis=0)
+    distance, radius = from_the_ball(capture, batch)
     # On the mask is where the ray meets the ball, up to a pixel.
     pixel = 2.5 / 72
     assert (distance[batch.mask > 0] < radius + pixel).all() and (distance[batch.mask == 0] > radius - 2 * pixel).all()
@@ -93,6 +99,23 @@ def test_edge_pixels_are_left_out(capture):
     batch = sampler(np.random.default_rng(0))
     target = batch.target[:, batch.mask == 0]
     np.testing.assert_allclose(target, np.broadcast_to(capture.background[:, None], target.shape), atol=3e-3)
+
+
+def test_the_mask_is_sure_off_its_edge_alone(capture):
+    """Where pixels are covered in part, which the mask does not say, its term in the loss is silent."""
+    sampler = RaySampler(capture, capture.splits["train"], dataclasses.replace(OPTIONS, opacity_edge=3, rays=4000))
+    batch = sampler(np.random.default_rng(0))
+    distance, radius = from_the_ball(capture, batch)
+    off, pixel = np.abs(distance - radius), 2.5 / 72
+    assert (batch.sure[off < 0.3 * pixel] == 0).all() and (off < 0.3 * pixel).sum() > 10
+    assert (batch.sure[off > 3 * pixel] == 1).all()
+    whole = RaySampler(capture, capture.splits["train"], dataclasses.replace(OPTIONS, opacity_edge=0))(np.random.default_rng(0))
+    assert (whole.sure == 1).all()
+
+    loss = ImageLoss(dataclasses.replace(OPTIONS, opacity_weight=1.0, edge_weight=0.0), mi.Color3f(0.0), 0.08, 1.0)
+    seen = Radiance(dr.zeros(mi.Color3f, 2), mi.Float(0.5, 0.5), *[None] * 5, 0)
+    total = [loss(seen, mi.Color3f(0.0), mi.Float(1, 1), mi.Float(*sure)).total[0] for sure in ((1, 1), (1, 0), (0, 0))]
+    np.testing.assert_allclose(total, [0.25, 0.125, 0])
 
 
 def test_pixel_rays_agree_with_the_cameras_own(capture):
@@ -183,7 +206,7 @@ def test_a_training_that_diverges_stops_with_a_message_and_keeps_its_checkpoint(
     trainer = taken(start(tmp_path / "run", capture, TINY, OPTIONS), 2)
     trainer.save()
     before = (tmp_path / "run" / "field.safetensors").read_bytes()
-    bad = lambda self, seen, target, mask: Loss(dr.sum(seen.opacity) * mi.Float(dr.nan), mi.Float(0.1))  # noqa: E731
+    bad = lambda self, seen, *truth: Loss(dr.sum(seen.opacity) * mi.Float(dr.nan), mi.Float(0.1))  # noqa: E731
     monkeypatch.setattr(ImageLoss, "__call__", bad)
     with pytest.raises(InputError, match="learning rate"):
         train(trainer, quiet=True)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ndf_mi.field.sample import FieldSample
-from ndf_mi.render.quadrature import Workspace, quadrature
-from ndf_mi.render.sampling import Compaction, box_interval, stratified
+from ndf_mi.render.quadrature import quadrature
+from ndf_mi.render.sampling import QUANTUM, box_interval, compact, stratified
 
 
 @dataclass
@@ -84,12 +84,11 @@ def test_all_rays_missing_gives_nothing_and_nothing_infinite():
     assert seen.evaluated == 0
 
 
-def test_jitter_and_workspace_do_not_change_the_mean():
+def test_jitter_does_not_change_the_mean():
     ray, *_ = rays(2000)
-    workspace = Workspace()
-    plain = quadrature(Ball(mi.Float(2.0)), ray, 64, workspace=workspace)
+    plain = quadrature(Ball(mi.Float(2.0)), ray, 64)
     rng = np.random.default_rng(1)
-    jittered = quadrature(Ball(mi.Float(2.0)), ray, 64, jitter=mi.Float(rng.random(2000 * 64, dtype=np.float32)), workspace=workspace)
+    jittered = quadrature(Ball(mi.Float(2.0)), ray, 64, jitter=mi.Float(rng.random(2000 * 64, dtype=np.float32)))
     assert float(dr.mean(jittered.opacity)[0]) == pytest.approx(float(dr.mean(plain.opacity)[0]), rel=5e-3)
 
 
@@ -109,15 +108,10 @@ def test_box_interval_of_a_ray_that_starts_inside_and_of_one_behind():
     np.testing.assert_allclose(far.numpy(), [0.75, 0])
 
 
-def test_compaction_keeps_its_size_and_settles():
-    compaction = Compaction()
-    index, real, count = compaction(dr.arange(mi.UInt32, 30_000) % 3 == 0)
-    assert count == 10_000 and list(index.numpy()[:3]) == [0, 3, 6] and int(real.numpy().sum()) == 10_000
-    size = compaction.size
-    assert size >= 12_500
-    compaction.settle()
-    compaction(dr.arange(mi.UInt32, 30_000) % 30 == 0)
-    assert compaction.size == size
-    compaction.settle()
-    assert compaction.size < size / 4
-    assert compaction(mi.Bool([False] * 100))[2] == 0
+@pytest.mark.parametrize("every", [3, 30, 100_000])
+def test_compaction_chooses_lanes_in_order_and_pads_by_half_at_most(every):
+    index, real, count = compact(dr.arange(mi.UInt32, 30_000) % every == every - 1)
+    expected = np.arange(30_000)[every - 1 :: every]
+    assert count == len(expected) == int(real.numpy().sum())
+    np.testing.assert_array_equal(index.numpy()[:count], expected)
+    assert count <= len(index) == len(real) <= max(1.5 * count, QUANTUM)
