@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ndf_mi.capture.document import Split
-from ndf_mi.capture.readers.annotated import FILE_NAME, fit_files, fit_folder, read_annotations
+from ndf_mi.capture.readers.annotated import FILE_NAME, fit_files, fit_folder, numbered_files, read_annotations
 from ndf_mi.capture.readers.skeletool import read_calibrations
 from ndf_mi.capture.readers.source import Selection, Source
 from ndf_mi.errors import InputError
@@ -43,8 +43,7 @@ def read_dynacap(folder: Path, selection: Selection | None = None, fits: str | N
         files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
         return Source(name, annotations.calibrations, splits, images, files, vertices, blended)
     cameras = read_calibrations(_calibration_file(folder))
-    place = fit_folder(folder, fits)
-    numbers = sorted(int(file.stem) for file in place.glob("*.npy") if file.stem.isdecimal())
+    numbers = sorted(numbered_files(fit_folder(folder, fits)))
     splits = _splits(folder, selection, list(cameras), numbers)
     images = {}
     for camera, frame in {pair for split in splits.values() for pair in split}:
