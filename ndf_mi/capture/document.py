@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from ndf_mi.capture.camera import Camera
-from ndf_mi.capture.faults import Faults, show
+from ndf_mi.capture.faults import Faults
 from ndf_mi.errors import InputError
+from ndf_mi.json_input import load_json, shown
 
 FORMAT = "ndf-capture"
 VERSION = 1
@@ -100,7 +100,7 @@ def parse_document(folder: Path) -> tuple[Document | None, list[InputError]]:
         return None, faults.found
     name = faults.text(raw.get("name"), "name")
     if raw.get("units") != "m":
-        faults.add("units", show(raw.get("units")), '"m"')
+        faults.add("units", shown(raw.get("units")), '"m"')
     background = _background(raw.get("background"), faults)
     patterns = [_pattern(raw.get(key), key, faults) for key in ("image_pattern", "mask_pattern")]
     cameras = _cameras(raw.get("cameras"), faults)
@@ -113,16 +113,16 @@ def parse_document(folder: Path) -> tuple[Document | None, list[InputError]]:
 
 def _load(faults: Faults, folder: Path) -> dict[str, Any] | None:
     try:
-        raw = json.loads(faults.file.read_text(encoding="utf-8"))
+        raw = load_json(faults.file)
     except FileNotFoundError:
         what = "no such file" if folder.is_dir() else "no such folder"
         faults.add("", what, "a capture's description", "make one with: ndf-mi capture synthesise OUT")
         return None
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         faults.add("", f"something that cannot be read as JSON ({error})", "a JSON object, UTF-8")
         return None
     if not isinstance(raw, dict):
-        faults.add("", show(raw), "a JSON object")
+        faults.add("", shown(raw), "a JSON object")
         return None
     return raw
 
@@ -130,9 +130,9 @@ def _load(faults: Faults, folder: Path) -> dict[str, Any] | None:
 def _is_ours(raw: dict[str, Any], faults: Faults) -> bool:
     version = raw.get("version")
     if raw.get("format") != FORMAT:
-        faults.add("format", show(raw.get("format")), f'"{FORMAT}"')
+        faults.add("format", shown(raw.get("format")), f'"{FORMAT}"')
     elif not isinstance(version, int) or isinstance(version, bool) or version < 1:
-        faults.add("version", show(version), f"{VERSION}")
+        faults.add("version", shown(version), f"{VERSION}")
     elif version > VERSION:
         faults.add("version", f"{version}", f"{VERSION} or older", "this capture needs a newer ndf-mi")
     return not faults.found
@@ -140,7 +140,7 @@ def _is_ours(raw: dict[str, Any], faults: Faults) -> bool:
 
 def _background(value: Any, faults: Faults) -> tuple[float, float, float] | None:
     if not isinstance(value, list) or len(value) != 3:
-        faults.add("background", show(value), "[r, g, b], sRGB in [0, 1]")
+        faults.add("background", shown(value), "[r, g, b], sRGB in [0, 1]")
         return None
     channels = [faults.number(channel, f"background[{i}]", 0, 1) for i, channel in enumerate(value)]
     red, green, blue = channels
@@ -156,20 +156,20 @@ def _pattern(value: Any, key: str, faults: Faults) -> str | None:
     except (KeyError, IndexError, ValueError, AttributeError, TypeError):
         names = set()
     if len(names) != 4 or any(Path(name).is_absolute() or ".." in Path(name).parts for name in names):
-        faults.add(key, show(text), f'a relative path of {{camera}} and {{frame}}, such as "{IMAGE_PATTERN}"')
+        faults.add(key, shown(text), f'a relative path of {{camera}} and {{frame}}, such as "{IMAGE_PATTERN}"')
         return None
     return text
 
 
 def _cameras(value: Any, faults: Faults) -> dict[str, Camera]:
     if not isinstance(value, list) or not value:
-        faults.add("cameras", show(value), "a list of cameras")
+        faults.add("cameras", shown(value), "a list of cameras")
         return {}
     cameras: dict[str, Camera] = {}
     for i, entry in enumerate(value):
         camera = _camera(entry, f"cameras[{i}]", faults)
         if camera is not None and camera.name in cameras:
-            faults.add(f"cameras[{i}].name", show(camera.name), "a name that no other camera has")
+            faults.add(f"cameras[{i}].name", shown(camera.name), "a name that no other camera has")
         elif camera is not None:
             cameras[camera.name] = camera
     return cameras
@@ -177,15 +177,15 @@ def _cameras(value: Any, faults: Faults) -> dict[str, Camera]:
 
 def _camera(entry: Any, key: str, faults: Faults) -> Camera | None:
     if not isinstance(entry, dict):
-        faults.add(key, show(entry), "an object")
+        faults.add(key, shown(entry), "an object")
         return None
     before = len(faults.found)
     name = faults.text(entry.get("name"), f"{key}.name")
     if name is not None and not _NAME.fullmatch(name):
-        faults.add(f"{key}.name", show(name), "letters, digits, '_', '-' and '.', since it names a folder")
+        faults.add(f"{key}.name", shown(name), "letters, digits, '_', '-' and '.', since it names a folder")
     for side in ("w", "h"):
         if not isinstance(entry.get(side), int) or isinstance(entry.get(side), bool) or entry[side] < 1:
-            faults.add(f"{key}.{side}", show(entry.get(side)), "a positive whole number of pixels")
+            faults.add(f"{key}.{side}", shown(entry.get(side)), "a positive whole number of pixels")
     focal = [faults.number(entry.get(k), f"{key}.{k}", 1e-6) for k in ("fl_x", "fl_y")]
     centre = [faults.number(entry.get(k), f"{key}.{k}") for k in ("cx", "cy")]
     distortion = [faults.number(entry.get(k, 0.0), f"{key}.{k}") for k in _DISTORTION]
@@ -200,12 +200,12 @@ def _camera(entry: Any, key: str, faults: Faults) -> Camera | None:
 def _transform(value: Any, key: str, faults: Faults) -> np.ndarray:
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        faults.add(key, show(value), "4 x 4 finite numbers, camera to world")
+        faults.add(key, shown(value), "4 x 4 finite numbers, camera to world")
     elif np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
-        faults.add(f"{key}[3]", show(matrix[3].tolist()), "[0, 0, 0, 1]")
+        faults.add(f"{key}[3]", shown(matrix[3].tolist()), "[0, 0, 0, 1]")
     elif np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() > 1e-3 or np.linalg.det(matrix[:3, :3]) < 0:
         faults.add(key, "a matrix that is not a rotation and a translation", "a rigid motion, right-handed")
     return matrix
@@ -213,13 +213,13 @@ def _transform(value: Any, key: str, faults: Faults) -> np.ndarray:
 
 def _splits(value: Any, cameras: dict[str, Camera], faults: Faults) -> dict[str, Split]:
     if not isinstance(value, dict):
-        faults.add("splits", show(value), f"an object of {', '.join(SPLITS)}")
+        faults.add("splits", shown(value), f"an object of {', '.join(SPLITS)}")
         return {}
     for name in value:
         if name not in SPLITS:
             faults.add(f"splits.{name}", "a split of that name", f"{', '.join(SPLITS)} only")
     if not value.get("train"):
-        faults.add("splits.train", show(value.get("train")), "cameras and frames to learn from")
+        faults.add("splits.train", shown(value.get("train")), "cameras and frames to learn from")
     splits = {name: _split(value[name], name, cameras, faults) for name in SPLITS if name in value}
     return {name: splits.get(name, Split()) for name in SPLITS}
 
@@ -227,17 +227,17 @@ def _splits(value: Any, cameras: dict[str, Camera], faults: Faults) -> dict[str,
 def _split(value: Any, name: str, cameras: dict[str, Camera], faults: Faults) -> Split:
     key = f"splits.{name}"
     if not isinstance(value, dict):
-        faults.add(key, show(value), '{"cameras": [names], "frames": [whole numbers]}')
+        faults.add(key, shown(value), '{"cameras": [names], "frames": [whole numbers]}')
         return Split()
     names, frames = value.get("cameras"), value.get("frames")
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-        faults.add(f"{key}.cameras", show(names), "a list of cameras' names")
+        faults.add(f"{key}.cameras", shown(names), "a list of cameras' names")
         names = []
     for unknown in sorted(set(names) - set(cameras)):
-        faults.add(f"{key}.cameras", show(unknown), f"a camera listed under cameras ({', '.join(cameras) or 'none'})")
+        faults.add(f"{key}.cameras", shown(unknown), f"a camera listed under cameras ({', '.join(cameras) or 'none'})")
     whole = isinstance(frames, list) and all(isinstance(f, int) and not isinstance(f, bool) and f >= 0 for f in frames)
     if not whole or not frames:
-        faults.add(f"{key}.frames", show(frames), "a list of frame numbers, 0 or more")
+        faults.add(f"{key}.frames", shown(frames), "a list of frame numbers, 0 or more")
         frames = []
     for what, values in (("cameras", names), ("frames", frames)):
         if len(set(values)) != len(values):
@@ -250,10 +250,10 @@ def _lighting(value: Any, folder: Path, faults: Faults) -> str | None:
         return None
     scene = value.get("scene") if isinstance(value, dict) else None
     if not isinstance(scene, str) or Path(scene).is_absolute() or ".." in Path(scene).parts:
-        faults.add("lighting", show(value), '{"scene": "FILE.xml"}, relative to the folder')
+        faults.add("lighting", shown(value), '{"scene": "FILE.xml"}, relative to the folder')
         return None
     if not (folder / scene).is_file():
-        faults.add("lighting.scene", show(scene), "a file in the capture's folder")
+        faults.add("lighting.scene", shown(scene), "a file in the capture's folder")
     return scene
 
 
