@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,35 @@ class Split:
     def __len__(self) -> int:
         return len(self.cameras) * len(self.frames)
 
+    def every(self, step: int) -> tuple[int, ...]:
+        """The frames whose number is the least one's plus a multiple of ``step``."""
+        first = min(self.frames, default=0)
+        return tuple(frame for frame in self.frames if (frame - first) % step == 0)
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What a capture was imported from, and how much of it; the optional key ``imported``.
+
+    Attributes:
+        layout: ``zju`` or ``dynacap``, or whatever else a reader is called.
+        subject: the subject or sequence, such as ``377``.
+        cameras: the names of all cameras of the layout, in its order, whether or not they are in the capture.
+        frames, test_frames: every how many-th frame was taken of all splits, and of the held-out ones.
+        scale: size of the images made to that of those which the calibration belongs to.
+    """
+
+    layout: str
+    subject: str
+    cameras: tuple[str, ...]
+    frames: int
+    test_frames: int
+    scale: float
+
+    def as_json(self) -> dict[str, Any]:
+        """The entries as JSON values."""
+        return asdict(self) | {"cameras": list(self.cameras)}
+
 
 @dataclass(frozen=True)
 class Document:
@@ -53,6 +82,7 @@ class Document:
     image_pattern: str = IMAGE_PATTERN
     mask_pattern: str = MASK_PATTERN
     lighting: str | None = None
+    imported: Imported | None = None
 
     def images(self) -> list[tuple[str, int]]:
         """All (camera, frame) pairs that some split names, once each, sorted."""
@@ -77,6 +107,8 @@ class Document:
         }
         if self.lighting is not None:
             value["lighting"] = {"scene": self.lighting}
+        if self.imported is not None:
+            value["imported"] = self.imported.as_json()
         return value
 
 
@@ -106,9 +138,10 @@ def parse_document(folder: Path) -> tuple[Document | None, list[InputError]]:
     cameras = _cameras(raw.get("cameras"), faults)
     splits = _splits(raw.get("splits"), cameras, faults)
     lighting = _lighting(raw.get("lighting"), folder, faults)
+    imported = _imported(raw.get("imported"), faults)
     if faults.found or name is None or background is None or patterns[0] is None or patterns[1] is None:
         return None, faults.found
-    return Document(name, background, cameras, splits, patterns[0], patterns[1], lighting), []
+    return Document(name, background, cameras, splits, patterns[0], patterns[1], lighting, imported), []
 
 
 def _load(faults: Faults, folder: Path) -> dict[str, Any] | None:
@@ -255,6 +288,31 @@ def _lighting(value: Any, folder: Path, faults: Faults) -> str | None:
     if not (folder / scene).is_file():
         faults.add("lighting.scene", shown(scene), "a file in the capture's folder")
     return scene
+
+
+def _imported(value: Any, faults: Faults) -> Imported | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        faults.add("imported", shown(value), "an object of layout, subject, cameras, frames, test_frames and scale")
+        return None
+    layout, subject = (faults.text(value.get(key), f"imported.{key}") for key in ("layout", "subject"))
+    names = value.get("cameras")
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        faults.add("imported.cameras", shown(names), "a list of cameras' names")
+        names = []
+    steps = [_step(value.get(key), f"imported.{key}", faults) for key in ("frames", "test_frames")]
+    scale = faults.number(value.get("scale"), "imported.scale", 0, 1)
+    if layout is None or subject is None or scale is None:
+        return None
+    return Imported(layout, subject, tuple(names), steps[0], steps[1], scale)
+
+
+def _step(value: Any, key: str, faults: Faults) -> int:
+    if type(value) is int and value > 0:
+        return value
+    faults.add(key, shown(value), "a whole number above 0")
+    return 1
 
 
 def _camera_as_json(camera: Camera) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from ndf_mi.body.skinning import skin
 from ndf_mi.body.smpl import load_smpl
 from ndf_mi.body.uv_file import read_uv
 from ndf_mi.capture.camera import Camera
-from ndf_mi.capture.document import Document
+from ndf_mi.capture.document import Document, Imported
 from ndf_mi.capture.readers.fits import JOINTS, Fits, read_fits, read_vertices
 from ndf_mi.capture.readers.rectify import Rectifier, read_labels, read_rgb, shrunk, size_of
 from ndf_mi.capture.readers.source import Source
@@ -142,7 +142,9 @@ def _raw_camera(source: Source, name: str, turn: np.ndarray) -> Camera:
 def _document(source: Source, raw: dict[str, Camera], scale: float) -> Document:
     """What ``capture.json`` shall say: the ideal cameras, in the layout's order."""
     cameras = {name: shrunk(raw[name], scale) for name in source.calibrations if name in raw}
-    return Document(source.name, BACKGROUND, cameras, source.splits)
+    chosen = source.selection
+    imported = Imported(source.layout, source.subject, tuple(source.calibrations), chosen.frames, chosen.test_frames, scale)
+    return Document(source.name, BACKGROUND, cameras, source.splits, imported=imported)
 
 
 def _write(
