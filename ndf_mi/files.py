@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,6 +44,11 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(beside, target)
     finally:
         beside.unlink(missing_ok=True)
+
+
+def is_left_over(file: Path) -> bool:
+    """Whether a file was being written by `replacing` when the process was killed: it is hidden, and of no use."""
+    return re.fullmatch(r"\..*-[a-z0-9_]{8}(\.\w+)?", file.name) is not None
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:

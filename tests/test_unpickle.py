@@ -134,6 +134,11 @@ def test_ordered_dict(tmp_path: Path) -> None:
     assert list(found) == ["b", "a"] and found["b"].tolist() == [0, 1]
 
 
+#: In the place of {'descr': '<i8', 'fortran_order': False, 'shape': (9,), }
+HEADERS = [b"{'descr': '<i8', 'fortran_order': False, 'shape': (9,), ", b"{'descr': (), 'fortran_order': False, 'shape': (9,)}",
+           b"{'descr': '<i8', 'fortran_order': False, 'shape': (99999999999999999999999,)}"]  # fmt: skip
+
+
 class TestNpy:
     def test_object(self, tmp_path: Path) -> None:
         path = tmp_path / "annots.npy"
@@ -158,6 +163,15 @@ class TestNpy:
     def test_truncated(self, tmp_path: Path, keep: int, objects: bool) -> None:
         np.save(tmp_path / "a.npy", {"a": np.arange(9)} if objects else np.arange(9), allow_pickle=True)
         write(tmp_path / "a.npy", (tmp_path / "a.npy").read_bytes()[:keep])
+        with pytest.raises(InputError, match="a.npy: found a damaged or truncated"):
+            unpickle.load_npy(tmp_path / "a.npy")
+
+    @pytest.mark.parametrize("header", HEADERS)
+    def test_damaged_headers(self, tmp_path: Path, header: bytes) -> None:
+        """Whatever numpy's reader of headers ends in: TokenError, IndexError, OverflowError."""
+        np.save(tmp_path / "a.npy", np.arange(9))
+        whole = (tmp_path / "a.npy").read_bytes()
+        write(tmp_path / "a.npy", whole[:10] + header.ljust(117) + b"\n" + whole[128:])
         with pytest.raises(InputError, match="a.npy: found a damaged or truncated"):
             unpickle.load_npy(tmp_path / "a.npy")
 

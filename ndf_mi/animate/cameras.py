@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.document import FILE_NAME, read_document
 from ndf_mi.capture.viewpoint import framing
 from ndf_mi.errors import InputError
+from ndf_mi.json_input import load_json
 
 _FOLLOW_SECONDS = 0.5
 
@@ -78,10 +78,10 @@ def _captured(path: Path, name: str | None) -> Camera:
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = load_json(path)
     except FileNotFoundError:
         raise InputError("--camera", str(path), "orbit, CAPTURE:NAME, or a JSON file of cameras") from None
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise InputError(path, f"a file that cannot be read as JSON ({error})", "cameras in JSON") from None
     if not isinstance(document, dict):
         raise InputError(path, f"a {type(document).__name__}", "an object")

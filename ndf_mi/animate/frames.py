@@ -7,10 +7,12 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from ndf_mi import files
 from ndf_mi.errors import InputError
@@ -42,8 +44,8 @@ class FrameFolder:
         return self.path / f"{number:06d}.png"
 
     def has(self, number: int, fingerprint: str) -> bool:
-        """Whether the frame is there and shows what ``fingerprint`` stands for."""
-        return self._fingerprints.get(f"{number:06d}") == fingerprint and self.frame(number).is_file()
+        """Whether the frame is there, whole, and shows what ``fingerprint`` stands for."""
+        return self._fingerprints.get(f"{number:06d}") == fingerprint and _is_whole(self.frame(number))
 
     def write(self, number: int, image: np.ndarray, fingerprint: str) -> None:
         """Writes a frame, (h, w, 3) sRGB in [0, 1], and then what it shows; each whole or not at all."""
@@ -63,7 +65,7 @@ class FrameFolder:
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
         except (FileNotFoundError, NotADirectoryError):
-            if self.path.is_dir() and any(self.path.iterdir()):
+            if self.path.is_dir() and not all(files.is_left_over(file) for file in self.path.iterdir()):
                 raise InputError(self.path, f"a folder with other files and no {FILE_NAME}", "an empty place for frames", mend) from None
             return {}
         except (OSError, ValueError) as error:
@@ -72,3 +74,13 @@ class FrameFolder:
         if not right or not isinstance(document.get("frames"), dict):
             raise InputError(path, "something else", f"the description of frames, {FORMAT!r} version {VERSION}", mend)
         return document["frames"]
+
+
+def _is_whole(file: Path) -> bool:
+    """Whether there is a PNG with all of its chunks and their checksums; nothing is decoded."""
+    try:
+        with Image.open(file, formats=["PNG"]) as image:
+            image.verify()
+    except (OSError, SyntaxError, ValueError, struct.error, Image.DecompressionBombError):
+        return False
+    return True

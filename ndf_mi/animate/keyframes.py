@@ -12,7 +12,6 @@ take the shortest way at constant speed; before the first and after the last the
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.errors import InputError
+from ndf_mi.json_input import number, shown
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def read_keyframes(document: dict[str, Any], path: Path) -> list[Keyframe]:
         where = f"{path}: {key}[{i}]"
         if not isinstance(entry, dict):
             raise InputError(where, f"a {type(entry).__name__}", "an object")
-        time = None if entry.get("time") is None else _number(entry["time"], f"{where}.time", 0)
+        time = None if entry.get("time") is None else number(entry["time"], f"{where}.time", 0)
         frames.append(Keyframe(time, read({**document, **entry}, where)))
         if (time is None) != (frames[0].time is None):
             raise InputError(f"{where}.time", "a keyframe unlike the first", "a time in every keyframe or in none")
@@ -86,44 +86,37 @@ def interpolated(keyframes: list[Keyframe], count: int, fps: float) -> list[Came
 
 def _transforms(entry: dict[str, Any], where: str) -> Camera:
     w, h = (_whole(entry.get(key), f"{where}.{key}") for key in ("w", "h"))
-    fl_x = _number(entry.get("fl_x"), f"{where}.fl_x", 1e-6)
+    fl_x = number(entry.get("fl_x"), f"{where}.fl_x", 1e-6)
     defaults = {"fl_y": fl_x, "cx": w / 2, "cy": h / 2}
-    fl_y, cx, cy = (_number(entry.get(key, value), f"{where}.{key}") for key, value in defaults.items())
+    fl_y, cx, cy = (number(entry.get(key, value), f"{where}.{key}") for key, value in defaults.items())
     return Camera("keyframes", w, h, fl_x, fl_y, cx, cy, _rigid(entry.get("transform_matrix"), f"{where}.transform_matrix"))
 
 
 def _exported(entry: dict[str, Any], where: str) -> Camera:
     w, h = (_whole(entry.get(key), f"{where}.{key}") for key in ("render_width", "render_height"))
-    fov = _number(entry.get("fov"), f"{where}.fov", 1e-3)
+    fov = number(entry.get("fov"), f"{where}.fov", 1e-3)
     if fov >= 180:
         raise InputError(f"{where}.fov", f"{fov:g}", "degrees below 180")
     focal = 0.5 * h / math.tan(math.radians(0.5 * fov))
     return Camera("keyframes", w, h, focal, focal, w / 2, h / 2, _rigid(entry.get("camera_to_world"), f"{where}.camera_to_world"))
 
 
-def _number(value: Any, where: str, low: float = -math.inf) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value) or value < low:
-        expected = "a finite number" + (f" of at least {low:g}" if low > -math.inf else "")
-        raise InputError(where, "nothing" if value is None else json.dumps(value)[:60], expected)
-    return float(value)
-
-
 def _whole(value: Any, where: str) -> int:
-    number = _number(value, where, 1)
-    if number != int(number):
-        raise InputError(where, f"{number:g}", "a whole number of pixels")
-    return int(number)
+    pixels = number(value, where, 1)
+    if pixels != int(pixels):
+        raise InputError(where, f"{pixels:g}", "a whole number of pixels")
+    return int(pixels)
 
 
 def _rigid(value: Any, where: str) -> np.ndarray:
     try:
         matrix = np.array(value, dtype=np.float64).reshape(4, 4)
-    except (TypeError, ValueError):
-        raise InputError(where, "nothing" if value is None else json.dumps(value)[:60], "4 x 4 numbers, camera to world") from None
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(where, shown(value), "4 x 4 numbers, camera to world") from None
     turn = matrix[:3, :3]
     if not np.isfinite(matrix).all() or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
         raise InputError(where, "a matrix that is not a rotation and a translation", "a rigid motion, right-handed")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
-        raise InputError(f"{where}[3]", json.dumps(matrix[3].tolist()), "[0, 0, 0, 1]",
+        raise InputError(f"{where}[3]", shown(matrix[3].tolist()), "[0, 0, 0, 1]",
                          "The numbers go row by row, the translation at the rows' ends.")
     return matrix

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +40,7 @@ def read_npz(
             return arrays
     except InputError:
         raise
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError) as error:
+    except Exception as error:  # numpy's reading of a damaged header can end in nearly any exception
         raise InputError(path, f"a damaged or truncated file ({error})", "an .npz file", "write it again") from error
 
 
@@ -52,6 +51,18 @@ def _load(path: Path, archive: np.lib.npyio.NpzFile, key: str) -> np.ndarray:
         if "allow_pickle" in str(error):
             raise InputError(f"{path}: {key}", "Python objects", "a plain array") from error
         raise
+
+
+def regular(where: str, value: Any) -> np.ndarray:
+    """``value``, an array or lists of numbers, as an array.
+
+    Raises:
+        InputError: rows of unequal length.
+    """
+    try:
+        return np.asarray(value)
+    except ValueError:
+        raise InputError(where, "rows of unequal length", "an array of numbers") from None
 
 
 def floats(where: str, array: np.ndarray, shape: Sequence[int | None]) -> np.ndarray:

@@ -110,7 +110,7 @@ def read_bvh(path: str | os.PathLike[str]) -> Clip:
     skeleton = _Skeleton()
     reader.expect("HIERARCHY")
     reader.expect("ROOT")
-    _read_joint(reader, skeleton, -1)
+    _read_joints(reader, skeleton)
     reader.expect("MOTION")
     return _read_motion(reader, skeleton)
 
@@ -172,30 +172,39 @@ def _number(where: str, word: str, expected: str) -> float:
     return value
 
 
-def _read_joint(reader: _Reader, skeleton: _Skeleton, parent: int) -> None:
-    """A joint from its name to its closing brace, then its children, which stand inside it."""
-    name = reader.rest("a joint's name")
-    if name in skeleton.names:
-        raise InputError(reader.where, f"a second joint {name!r}", "names that differ")
-    joint = len(skeleton.names)
-    skeleton.names.append(name)
-    skeleton.parents.append(parent)
-    skeleton.channels.append([])
-    reader.expect("{")
-    skeleton.offsets.append(_read_offset(reader))
-    while (word := reader.word(f"JOINT, End Site or }} of joint {name}")) != "}":
-        match word.upper():
+def _read_joints(reader: _Reader, skeleton: _Skeleton) -> None:
+    """The root, from its name to its closing brace, and all joints inside it, however deep they are nested."""
+    open_joints = [_open_joint(reader, skeleton, -1)]
+    while open_joints:
+        joint = open_joints[-1]
+        expected = f"CHANNELS, JOINT, End Site or }} of joint {skeleton.names[joint]}"
+        match (word := reader.word(expected)).upper():
+            case "}":
+                open_joints.pop()
             case "CHANNELS":
                 skeleton.channels[joint] = _read_channels(reader)
             case "JOINT":
-                _read_joint(reader, skeleton, joint)
+                open_joints.append(_open_joint(reader, skeleton, joint))
             case "END":
                 reader.expect("Site")
                 reader.expect("{")
                 skeleton.ends[joint] = np.array(_read_offset(reader))
                 reader.expect("}")
             case _:
-                raise InputError(reader.where, repr(word), f"CHANNELS, JOINT, End Site or }} of joint {name}")
+                raise InputError(reader.where, repr(word), expected)
+
+
+def _open_joint(reader: _Reader, skeleton: _Skeleton, parent: int) -> int:
+    """Reads a joint's name, opening brace and offset; returns its index."""
+    name = reader.rest("a joint's name")
+    if name in skeleton.names:
+        raise InputError(reader.where, f"a second joint {name!r}", "names that differ")
+    skeleton.names.append(name)
+    skeleton.parents.append(parent)
+    skeleton.channels.append([])
+    reader.expect("{")
+    skeleton.offsets.append(_read_offset(reader))
+    return len(skeleton.names) - 1
 
 
 def _read_offset(reader: _Reader) -> list[float]:

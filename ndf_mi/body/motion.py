@@ -26,8 +26,14 @@ AIMS = {f"{side}{bone}": f"{side}{tip}" for side in ("Left", "Right") for bone, 
 differs from an A-pose. Trunk, head and clavicles are not: there, the two skeletons place their joints differently
 inside bodies that stand alike. Feet and fingers follow the bone above them."""
 
+LEGS = tuple(tuple(f"{side}{bone}" for bone in ("UpLeg", "Leg", "Foot")) for side in ("Left", "Right"))
+"""The joints from the head of each thigh down, by whose distances the path is scaled."""
+
 MOST_FRAMES = 200_000
 """Frames of the longest motion, near two hours at 30 a second: more is a mistake in a file's times."""
+
+MOST_NAMES = 40
+"""Joints that a message names."""
 
 Place = Literal["world", "centre", "treadmill"]
 
@@ -76,6 +82,10 @@ def retarget(
     World rotations are carried over joint by joint, after the limbs' rest directions are aligned (`AIMS`). The path of
     the hips is scaled by the ratio of the leg lengths, and lowered or raised as a whole until the lowest
     point that the feet reach in the clip lies on y = 0.
+
+    Of a rig whose legs go by other names than `LEGS` nothing is aligned, so that body and clip must stand alike at rest; the path
+    is that of the root joint, scaled by the ratio of the lengths of all bones; and a rig without a Foot or ToeBase is put on
+    the ground by its lowest vertex.
 
     Args:
         times: seconds after the clip's first frame; None for the clip's own frames.
@@ -180,7 +190,8 @@ def _match(body: Body, clip: Clip) -> list[int]:
     missing = [name for name in body.joint_names if name not in named]
     if missing:
         spare = [name for name in clip.joint_names if ALIASES.get(name, name) not in body.joint_names]
-        found = "no " + ", ".join(missing) + (f" (but {', '.join(spare)})" if spare else "")
+        more = f" and {len(spare) - MOST_NAMES} more" if len(spare) > MOST_NAMES else ""
+        found = "no " + ", ".join(missing) + (f" (but {', '.join(spare[:MOST_NAMES])}{more})" if spare else "")
         raise InputError(f"clip {clip.name}", found, "the joints of the body's rig")
     return [named[name] for name in body.joint_names]
 
@@ -222,13 +233,10 @@ def _play(body: Body, clip: Clip, joints: np.ndarray, columns: list[int], align:
             local[:, j] = np.swapaxes(world[:, p], 1, 2) @ world[:, j]
     pose = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_rotvec().reshape(len(clip), -1, 3)
     pose[:, 0] = 0
-    names = list(body.joint_names or ())
-    legs = [[names.index(f"{side}{bone}") for bone in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")]
-    lengths = [
-        sum(np.linalg.norm(at[a] - at[b]) for leg in legs for a, b in zip(leg, leg[1:], strict=False))
-        for at in (joints, positions[0, columns])
-    ]
-    centre = positions[:, [columns[leg[0]] for leg in legs]].mean(1) * (lengths[0] / lengths[1])
+    have, want = (_length(_bones(body), at) for at in (joints, positions[0, columns]))
+    if not want > 0:
+        raise InputError(f"clip {clip.name}", "bones without any length", "offsets between the joints")
+    centre = positions[:, [columns[j] for j in _hips(body)]].mean(1) * (have / want)
     still = Motion(pose, Rotation.from_matrix(world[:, 0]).as_rotvec(), np.zeros((len(clip), 3)))
     path = centre - _hip_centre(body, still, joints)
     return Motion(pose.astype(np.float32), still.root_rotation.astype(np.float32), path.astype(np.float32))
@@ -251,13 +259,37 @@ def _forward(body: Body, motion: Motion, joints: np.ndarray) -> tuple[np.ndarray
 
 
 def _hip_centre(body: Body, motion: Motion, joints: np.ndarray) -> np.ndarray:
-    """(T, 3): midway between the heads of the thighs."""
+    """(T, 3): midway between the heads of the thighs, or the root joint (`_hips`)."""
+    return _forward(body, motion, joints)[1][:, _hips(body)].mean(1)
+
+
+def _legs(body: Body) -> list[list[int]]:
+    """The joints of `LEGS`, leg by leg; none where the rig lacks one of them."""
     names = list(body.joint_names or ())
-    return _forward(body, motion, joints)[1][:, [names.index("LeftUpLeg"), names.index("RightUpLeg")]].mean(1)
+    known = all(name in names for leg in LEGS for name in leg)
+    return [[names.index(name) for name in leg] for leg in LEGS] if known else []
+
+
+def _hips(body: Body) -> list[int]:
+    """The joints whose middle stands for the body's place: the heads of the thighs, else the root."""
+    return [leg[0] for leg in _legs(body)] or [0]
+
+
+def _bones(body: Body) -> list[tuple[int, int]]:
+    """The pairs of joints whose distances tell the body's size: along the legs, else all bones."""
+    legs = _legs(body)
+    parents = enumerate(body.parents.tolist())  # type: ignore[union-attr]
+    return [pair for leg in legs for pair in zip(leg, leg[1:], strict=False)] or [(p, j) for j, p in parents if p >= 0]
+
+
+def _length(bones: Sequence[tuple[int, int]], at: np.ndarray) -> float:
+    """The bones' lengths added up, for joints at ``at``, (J, 3)."""
+    return float(sum(np.linalg.norm(at[a] - at[b]) for a, b in bones))
 
 
 def _lowest(body: Body, motion: Motion, joints: np.ndarray, shape: np.ndarray | Sequence[float] | None) -> np.ndarray:
-    """(T,): the height of the lowest point of the feet, each foot's vertices carried by its heaviest joint."""
+    """(T,): the height of the lowest point of the feet, or of the body where no joint is called so; each vertex is carried by its
+    heaviest joint."""
     assert body.template is not None and body.weights is not None
     rest = body.template.astype(np.float64)
     if shape is not None and body.shape_dirs is not None:
@@ -265,8 +297,8 @@ def _lowest(body: Body, motion: Motion, joints: np.ndarray, shape: np.ndarray | 
     turns, at = _forward(body, motion, joints)
     owner = body.weights.argmax(1)
     low = np.full(len(at), np.inf)
-    for j, name in enumerate(body.joint_names or ()):
+    feet = [j for j, name in enumerate(body.joint_names or ()) if name.endswith(("Foot", "ToeBase")) and (owner == j).any()]
+    for j in feet or np.unique(owner).tolist():
         held = rest[owner == j] - joints[j]
-        if name.endswith(("Foot", "ToeBase")) and len(held):
-            low = np.minimum(low, (turns[:, j, 1] @ held.T).min(1) + at[:, j, 1])
+        low = np.minimum(low, (turns[:, j, 1] @ held.T).min(1) + at[:, j, 1])
     return low

@@ -94,7 +94,7 @@ def read_performance(
     stored = None
     if kind == "bvh":
         clip = load_clip(source)
-        motion = retarget(as_cmu_rig(body), clip, frame_times(clip.duration, rate), shape=own)
+        motion = retarget(*as_cmu_rig(body, clip), frame_times(clip.duration, rate), shape=own)
     elif kind == "amass":
         motion = play_amass(body, source, rate, shape=own, up=up or "z")
     elif kind == "json":

@@ -15,7 +15,6 @@ body's names or, where the rig is ``cmu_mb``, also by SMPL's.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from pathlib import Path
@@ -28,6 +27,7 @@ from ndf_mi.body.body import Body
 from ndf_mi.body.motion import Motion, frame_times, shaped_joints
 from ndf_mi.body.motion_smpl import COUNTERPARTS, smpl_names
 from ndf_mi.errors import InputError
+from ndf_mi.json_input import load_json, number, shown
 
 _KEYS = ("time", "joints", "root", "translation")
 Track = tuple[list[float], list[np.ndarray]]
@@ -48,7 +48,7 @@ def play_json(
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: frames", "no keyframe", "a list of at least one")
-    own = _number(document.get("fps", 30), f"{path}: fps")
+    own = number(document.get("fps", 30), f"{path}: fps")
     if own <= 0:
         raise InputError(f"{path}: fps", f"{own:g}", "frames a second, above 0")
     joints = shaped_joints(body, shape)
@@ -66,8 +66,8 @@ def play_json(
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        document = load_json(path)
+    except (FileNotFoundError, ValueError) as error:
         raise InputError(path, f"a file that cannot be read as JSON ({error})", "keyframes in JSON") from None
     if not isinstance(document, dict):
         raise InputError(path, f"a {type(document).__name__}", 'an object such as {"fps": 30, "frames": [...]}')
@@ -94,7 +94,7 @@ def _tracks(path: Path, frames: list[Any], indices: dict[str, int]) -> tuple[dic
         for key in frame:
             if key not in _KEYS:
                 raise InputError(f"{where}.{key}", "a key of that name", f"{', '.join(_KEYS)} only")
-        time = _number(frame.get("time"), f"{where}.time")
+        time = number(frame.get("time"), f"{where}.time")
         if time < 0 or time <= before:
             raise InputError(f"{where}.time", f"{time:g}", "seconds from 0 on, each more than the one before")
         before = time
@@ -113,17 +113,11 @@ def _tracks(path: Path, frames: list[Any], indices: dict[str, int]) -> tuple[dic
 
 def _add(track: Track, time: float, value: Any, where: str) -> None:
     if not isinstance(value, list) or len(value) != 3:
-        raise InputError(where, json.dumps(value)[:60], "three numbers")
+        raise InputError(where, shown(value), "three numbers")
     if track[0] and track[0][-1] == time:
         raise InputError(where, "the joint under two of its names", "it once a keyframe")
     track[0].append(time)
-    track[1].append(np.array([_number(v, where) for v in value]))
-
-
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(where, "nothing" if value is None else json.dumps(value)[:60], "a finite number")
-    return float(value)
+    track[1].append(np.array([number(v, where) for v in value]))
 
 
 def _turns(track: Track, times: np.ndarray) -> Rotation:

@@ -88,14 +88,21 @@ def smpl_names(body: Body) -> tuple[str, ...] | None:
     return None
 
 
-def as_cmu_rig(body: Body) -> Body:
-    """An SMPL body with its joints called as the ``cmu_mb`` rig's, so that clips for that rig can be retargeted to it; any other body
-    as it is."""
+def as_cmu_rig(body: Body, clip: Clip) -> tuple[Body, Clip]:
+    """An SMPL body, and a clip for it, with their joints called as the ``cmu_mb`` rig's; any other body and its clip as they are.
+
+    Where the clip has all of the body's joints by the body's own names, its joints are renamed as the body's are; otherwise the
+    clip's names are the rig's already.
+    """
     names = smpl_names(body)
     if names is None:
-        return body
+        return body, clip
     called = {smpl: cmu for cmu, smpl in COUNTERPARTS.items()}
-    return dataclasses.replace(body, joint_names=tuple(called.get(name, name) for name in names))
+    renamed = tuple(called.get(name, name) for name in names)
+    own = dict(zip(body.joint_names or (), renamed, strict=False))
+    if own and set(own) <= set(clip.joint_names):
+        clip = dataclasses.replace(clip, joint_names=tuple(own.get(name, name) for name in clip.joint_names))
+    return dataclasses.replace(body, joint_names=renamed), clip
 
 
 def cmu_clip(clip: Clip) -> Clip:

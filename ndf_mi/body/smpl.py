@@ -62,7 +62,7 @@ def load_smpl(
     weights = _dense(path, "weights", found, (count, None))
     joint_count = weights.shape[1]
     regressor = _dense(path, "J_regressor", found, (joint_count, count))
-    faces = arrays.indices(f"{path}: f", np.asarray(found["f"]), (None, 3), 0, count)
+    faces = arrays.indices(f"{path}: f", arrays.regular(f"{path}: f", found["f"]), (None, 3), 0, count)
     shape_dirs = joint_dirs = pose_dirs = None
     if "shapedirs" in found and shape_count:
         shape_dirs = _dense(path, "shapedirs", found, (count, 3, None))[..., :shape_count]
@@ -78,7 +78,7 @@ def load_smpl(
             template=template,
             joints=regressor @ template,
             joint_names=_names(joint_count),
-            parents=_parents(f"{path}: kintree_table", np.asarray(found["kintree_table"]), joint_count),
+            parents=_parents(f"{path}: kintree_table", arrays.regular(f"{path}: kintree_table", found["kintree_table"]), joint_count),
             weights=weights,
             shape_dirs=shape_dirs,
             pose_dirs=pose_dirs,
@@ -109,7 +109,7 @@ def _dense(path: Path, key: str, found: dict[str, Any], shape: tuple[int | None,
     value = found[key]
     if sparse.issparse(value):
         arrays.check_shape(f"{path}: {key}", value, shape)
-    array = value.toarray() if sparse.issparse(value) else np.asarray(value)
+    array = value.toarray() if sparse.issparse(value) else arrays.regular(f"{path}: {key}", value)
     arrays.floats(f"{path}: {key}", array, shape)
     return array.astype(np.float64)
 

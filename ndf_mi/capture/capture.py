@@ -12,7 +12,7 @@ import numpy as np
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.capture.camera import Camera
-from ndf_mi.capture.document import FILE_NAME, Document, Split, read_document
+from ndf_mi.capture.document import FILE_NAME, Document, Imported, Split, read_document
 from ndf_mi.capture.images import read_image, read_mask, undistort_image, undistort_mask
 from ndf_mi.errors import InputError
 
@@ -26,6 +26,7 @@ class Capture:
         background: (3,) float32 sRGB of the pixels outside the masks.
         cameras: by name, pinhole: images and masks are resampled to these where the real ones have distortion.
         splits: ``train``, ``novel_view``, ``novel_pose`` and ``sequence``; one that the file lacks is empty.
+        imported: what it was imported from; None where the file does not say.
         body, poses: the fitted body.
         digest: SHA-256 of the description, the body and the poses, and of the names and sizes of the images and masks.
     """
@@ -36,6 +37,7 @@ class Capture:
         self.background = np.array(document.background, dtype=np.float32)
         self.cameras: dict[str, Camera] = {name: camera.pinhole() for name, camera in document.cameras.items()}
         self.splits: dict[str, Split] = document.splits
+        self.imported: Imported | None = document.imported
         self.body = body
         self.poses = poses
         self.digest = digest

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ndf_mi.errors import InputError
+from ndf_mi.json_input import is_finite, shown
 
 
 @dataclass
@@ -23,10 +23,10 @@ class Faults:
 
     def number(self, value: Any, key: str, low: float = -math.inf, high: float = math.inf) -> float | None:
         """``value`` as a finite float within [low, high], or None with the fault noted."""
-        if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-            self.add(key, show(value), "a finite number")
+        if not is_finite(value):
+            self.add(key, shown(value), "a finite number")
         elif not low <= value <= high:
-            self.add(key, show(value), f"a number in [{low:g}, {high:g}]")
+            self.add(key, shown(value), f"a number in [{low:g}, {high:g}]")
         else:
             return float(value)
         return None
@@ -34,13 +34,5 @@ class Faults:
     def text(self, value: Any, key: str) -> str | None:
         if isinstance(value, str) and value:
             return value
-        self.add(key, show(value), "a string")
+        self.add(key, shown(value), "a string")
         return None
-
-
-def show(value: Any) -> str:
-    """A value as a message shows it: short, and ``nothing`` for a key that isn't there."""
-    if value is None:
-        return "nothing"
-    text = json.dumps(value, default=str)
-    return text if len(text) <= 60 else text[:57] + "..."

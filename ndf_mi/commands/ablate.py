@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
-from ndf_mi.errors import InputError
+from ndf_mi.commands.training_options import ABLATION_NAMES, OPTION_HELP, PRESET_HELP, configured
+
+_ONLY_HELP = f"The variants to train, of {', '.join(ABLATION_NAMES)}; the full model is always among them. All by default."
 
 
 @dataclass
@@ -20,17 +21,15 @@ class Ablate:
     Stop it when you like: the same command goes on where it was, in the middle of a training too.
     """
 
-    capture: Annotated[Path, tyro.conf.Positional]
+    capture: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
     """The capture's folder."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for a run a variant, the table and the report."""
 
-    only: tuple[str, ...] = ()
-    """The variants to train, the full model always among them; all by default."""
+    only: Annotated[tuple[str, ...], tyro.conf.arg(metavar="VARIANT ...", help=_ONLY_HELP)] = ()
 
-    preset: str = "fast"
-    """Architecture of the full model: fast, paper or tiny."""
+    preset: Annotated[str, tyro.conf.arg(help=f"Architecture of the full model: {PRESET_HELP}.")] = "fast"
 
     steps: int | None = None
     """Steps of each training."""
@@ -41,8 +40,13 @@ class Ablate:
     seed: int = 0
     """Of weights, rays and jitter, and of the choice of images."""
 
-    max_images: int = 48
-    """Images measured of the novel views, and of the novel poses."""
+    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE", help=OPTION_HELP)] = ()
+
+    protocol: Literal["ours", "zju", "dynacap"] = "ours"
+    """Which images are measured, and what the capture must hold; docs/protocols.md describes each."""
+
+    max_images: int | None = None
+    """Images measured of the novel views, and of the novel poses; 48 by default, under `zju` and `dynacap` all."""
 
     sequence: int = 12
     """Successive frames of each split on which temporal consistency is measured; 0 for none."""
@@ -55,21 +59,10 @@ class Ablate:
         from ndf_mi.compare.ablation import REPORT, Settings, Study
         from ndf_mi.compare.ablation_report import markdown
         from ndf_mi.compare.report import command_line
-        from ndf_mi.field import preset
-        from ndf_mi.learn.ablations import ABLATIONS
-        from ndf_mi.learn.options import TrainingOptions
 
-        if self.seconds is not None and not self.seconds > 0:
-            raise InputError("--seconds", f"{self.seconds:g}", "a time above 0")
-        options = TrainingOptions.paper() if self.preset == "paper" else TrainingOptions()
-        changes: dict[str, float] = {"seed": self.seed}
-        if self.seconds is not None:
-            changes |= {"seconds": self.seconds, "steps": 10**9}
-        if self.steps is not None:
-            changes["steps"] = self.steps
-        study = Study(self.capture, self.out, self.only or tuple(ABLATIONS), preset(self.preset),
-                      dataclasses.replace(options, **changes),  # type: ignore[arg-type]
-                      Settings(self.max_images, self.sequence, self.samples, self.seed), command_line(self._arguments()))
+        preset, options = configured(self.preset, self.option, steps=self.steps, seconds=self.seconds, seed=self.seed)
+        settings = Settings(self.max_images, self.sequence, self.samples, self.seed, self.protocol)
+        study = Study(self.capture, self.out, self.only or ABLATION_NAMES, preset, options, settings, command_line(self._arguments()))
         terminal = sys.stderr.isatty()
 
         def measured(title: str, done: int, of: int) -> None:
@@ -85,6 +78,8 @@ class Ablate:
         arguments = ["ablate", str(self.capture)]
         for name, field in type(self).__dataclass_fields__.items():
             value = getattr(self, name)
-            if name != "capture" and value != field.default:
+            if name == "option":
+                arguments += [word for entry in value for word in ("--option", entry)]
+            elif name != "capture" and value != field.default:
                 arguments += [f"--{name.replace('_', '-')}", *(value if isinstance(value, tuple) else [str(value)])]
         return arguments

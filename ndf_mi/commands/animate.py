@@ -36,8 +36,7 @@ class Animate:
     """The video: NAME.mp4."""
 
     camera: str = "orbit"
-    """orbit: round the performer, following it. CAPTURE:NAME: a camera of a capture. FILE: JSON with keyframed cameras, in the
-    layout of nerfstudio's transforms.json or of its viewer's camera paths."""
+    """orbit: round the performer, following it. CAPTURE:NAME: a camera of a capture. FILE: keyframed cameras in nerfstudio's JSON."""
 
     shape: str | None = None
     """Shape coefficients in place of the performer's: by name, as height=0.3,weight=-0.5, or the first ones as numbers."""

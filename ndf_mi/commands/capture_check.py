@@ -14,7 +14,7 @@ import tyro
 class CaptureCheck:
     """Check a capture's folder: lists everything that is wrong with it, or says what it holds."""
 
-    path: Annotated[Path, tyro.conf.Positional]
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The capture's folder."""
 
     def run(self) -> int:

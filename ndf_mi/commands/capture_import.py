@@ -18,7 +18,7 @@ class CaptureImport:
 
     layout: Annotated[Literal["zju", "dynacap"], tyro.conf.Positional]
     """What DIR holds: a subject of ZJU-MoCap (CoreView_377), or a sequence of DynaCap."""
-    path: Annotated[Path, tyro.conf.Positional]
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The folder to read."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The capture to make: a new or empty folder."""

@@ -13,7 +13,7 @@ import tyro
 class CaptureSynthesise:
     """Make a capture of a synthetic, dressed performer, path traced; goes on where it was stopped."""
 
-    out: Annotated[Path, tyro.conf.Positional]
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """The folder to make: new, empty, or one in which this command was stopped."""
     size: Literal["tiny", "quick", "studio"] = "quick"
     """tiny (48 pixels, for tests), quick (128 pixels, about a minute on two cores) or studio (256 pixels, 21 cameras)."""

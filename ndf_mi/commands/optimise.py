@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
+from ndf_mi.commands.training_options import ABLATION_NAMES, OPTION_HELP, PRESET_HELP, configured
 from ndf_mi.errors import InputError
 
 
@@ -17,17 +16,15 @@ from ndf_mi.errors import InputError
 class Optimise:
     """Train a neural deformable field on a capture's training split. Interrupt it when you like; --resume goes on."""
 
-    capture: Annotated[Path, tyro.conf.Positional]
+    capture: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
     """The capture's folder."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The run's folder: new or empty, or with --resume one made before."""
 
-    preset: str = "fast"
-    """Architecture: fast, paper or tiny."""
+    preset: Annotated[str, tyro.conf.arg(help=f"Architecture: {PRESET_HELP}.")] = "fast"
 
-    ablation: str = "full"
-    """Take a part of the method away: naked, no-pose, no-projection, no-deform, one-piece, unsigned or surface-point."""
+    ablation: Annotated[str, tyro.conf.arg(help=f"Take a part of the method away: one of {', '.join(ABLATION_NAMES)}.")] = "full"
 
     steps: int | None = None
     """Steps in all."""
@@ -38,9 +35,7 @@ class Optimise:
     seed: int | None = None
     """Of weights, rays and jitter."""
 
-    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Any other entry of the preset or of the training options as NAME=VALUE, e.g. band=0.12 or rays=2048 or
-    density_layers=[128,128]; may be given several times."""
+    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE", help=OPTION_HELP)] = ()
 
     resume: bool = False
     """Go on from the last checkpoint in the run's folder, with the options it was started with."""
@@ -60,7 +55,8 @@ class Optimise:
                                  "none: a resumed run keeps the options it was started with")
             trainer = resume(self.out, capture)
         else:
-            preset, training = self._options()
+            preset, training = configured(
+                self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds, seed=self.seed)  # fmt: skip
             trainer = start(self.out, capture, preset, training)
         try:
             train(trainer)
@@ -70,49 +66,3 @@ class Optimise:
         now = trainer.progress
         print(f"{self.out}: {now.step} steps in {now.seconds:.0f} s, {now.psnr:.2f} dB on the training rays")
         return 0
-
-    def _options(self) -> tuple[Any, Any]:
-        from ndf_mi.field import preset
-        from ndf_mi.learn.ablations import ablation
-        from ndf_mi.learn.options import TrainingOptions
-
-        if self.seconds is not None and not self.seconds > 0:
-            raise InputError("--seconds", f"{self.seconds:g}", "a time above 0")
-        training = TrainingOptions.paper() if self.preset == "paper" else TrainingOptions()
-        base, training = ablation(self.ablation).apply(preset(self.preset), training)
-        architecture = {f.name for f in dataclasses.fields(base)} - {"name"}
-        schedule = {f.name for f in dataclasses.fields(training)}
-        changes: dict[str, Any] = {k: getattr(self, k) for k in ("steps", "seconds", "seed") if getattr(self, k) is not None}
-        if self.seconds is not None and self.steps is None:
-            changes["steps"] = 10**9
-        for text in self.option:
-            name, equals, value = text.partition("=")
-            name = name.strip().replace("-", "_")
-            if not equals or name not in architecture | schedule:
-                raise InputError("--option", repr(text), "NAME=VALUE, NAME one of " + ", ".join(sorted(architecture | schedule)))
-            current = getattr(base if name in architecture else training, name)
-            changes[name] = _value(text, value, current)
-        return (dataclasses.replace(base, **{k: v for k, v in changes.items() if k in architecture}),
-                dataclasses.replace(training, **{k: v for k, v in changes.items() if k in schedule}))
-
-
-def _value(text: str, value: str, current: Any) -> Any:
-    """Reads VALUE as the type that the option has now."""
-    if isinstance(current, str):
-        return value
-    try:
-        found = json.loads(value)
-    except ValueError:
-        found = None
-    if isinstance(current, tuple) and isinstance(found, list) and all(type(v) is int for v in found):
-        return tuple(found)
-    if isinstance(current, float) and isinstance(found, (int, float)) and not isinstance(found, bool):
-        return float(found)
-    if isinstance(current, bool):
-        if isinstance(found, bool):
-            return found
-        raise InputError("--option", repr(text), "true or false")
-    if isinstance(current, int) and type(found) is int:
-        return found
-    kind = "a list of whole numbers, as [64,64]" if isinstance(current, tuple) else f"a number such as {current}"
-    raise InputError("--option", repr(text), kind)

@@ -17,7 +17,7 @@ class Render:
     """Render a Mitsuba scene, or a trained run by itself, to .png (sRGB) or .exr (linear, with depth, opacity, (u, v, l) and
     normals where a run or the scene's integrator gives them)."""
 
-    source: Annotated[Path, tyro.conf.Positional]
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE_OR_RUN")]
     """A scene's XML, or a run's folder."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]

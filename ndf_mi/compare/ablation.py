@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ndf_mi.capture.capture import Capture
-from ndf_mi.compare import machine
+from ndf_mi.compare import machine, protocols
 from ndf_mi.compare.ablation_report import write_ablation_report
 from ndf_mi.compare.evaluate import choose_views, evaluate, measured, to_render
 from ndf_mi.compare.flicker import choose_sequences
@@ -32,23 +32,31 @@ class Settings:
     """How variants are measured.
 
     Attributes:
-        max_images: images measured of each held-out split.
+        max_images: images measured of each held-out split; None takes the protocol's number, 48 for `ours`.
         sequence: successive frames of each split on which temporal consistency is measured; 0 for none.
         samples: candidate samples a ray.
         seed: of the choice of images.
+        protocol: name of the protocol that images are chosen by.
     """
 
-    max_images: int = 48
+    max_images: int | None = None
     sequence: int = 12
     samples: int = 128
     seed: int = 0
+    protocol: str = protocols.OURS.name
 
     def __post_init__(self) -> None:
+        protocols.named(self.protocol)
         for key, least in (("max_images", 1), ("samples", 1), ("sequence", 0), ("seed", 0)):
-            if getattr(self, key) < least:
+            if getattr(self, key) is not None and getattr(self, key) < least:
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), f"a whole number from {least} on")
         if self.sequence == 1:
             raise InputError("option sequence", "1", "at least 2, or 0 to leave temporal consistency out")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The settings as JSON values, with the protocol's number of images where none was given."""
+        limit = protocols.named(self.protocol).max_images if self.max_images is None else self.max_images
+        return asdict(self) | {"max_images": limit}
 
 
 class Study:
@@ -72,19 +80,19 @@ class Study:
         self._capture = Capture.read(capture)
         self._settings = settings
         self.names = ["full", *(name for name in dict.fromkeys(names) if name != "full")]
-        self._wanted = {name: ablation(name).apply(preset, options) for name in self.names}
-        self._views = choose_views(self._capture, settings.max_images, settings.seed)
+        self._full = (preset, options)
+        self._wanted = {name: ablation(name).apply(*self._full) for name in self.names}
+        self._protocol = protocols.named(settings.protocol)
+        self._views = choose_views(self._capture, settings.max_images, settings.seed, self._protocol)
         self._sequences = choose_sequences(self._capture, settings.sequence)
         for name in self.names:
             if (self.folder / name / "config.json").exists():
-                self._expect(name, Run.load(self.folder / name))
+                self._expect(Run.load(self.folder / name), *self._wanted[name])
         known = Results.read(self.folder / RESULTS) if (self.folder / RESULTS).exists() else Results()
         # Images measured before are of use whatever is asked for now. Rows are kept only where they were measured alike.
         self._known = {method.key: method for method in known.methods}
-        about = self._about(command, preset, options)
-        alike = all(known.about.get(key) == about[key] for key in ("settings", "preset", "training"))
-        kept = [m for m in known.methods if alike and m.key in ABLATIONS and self._has_pictures(m)]
-        self.results = Results(about, kept)
+        self.results = Results(self._about(command, preset, options))
+        self.results.methods = [row for row in known.methods if self._alike(known.about) and self._complete(row)]
 
     def run(self, training: Callable[[str, int, int], None], measured: Callable[[str, int, int], None]) -> Results:
         """Trains and measures variant after variant; table and report are written after each.
@@ -134,20 +142,43 @@ class Study:
         train(trainer)
         return trainer.run
 
-    def _has_pictures(self, method: MethodResult) -> bool:
-        return all((self.folder / PICTURES / method.key / image.view.file).is_file() for image in method.images)
+    def _alike(self, about: dict[str, Any]) -> bool:
+        """Whether rows that go with `about` were trained and measured as is asked for now, on the same capture."""
+        wanted = self.results.about
+        digest = about.get("capture", {}).get("digest")
+        # Studies written before there were protocols were measured by ours.
+        settings = {"protocol": protocols.OURS.name, **about.get("settings", {})}
+        try:
+            preset, training = _read_options(about, "")
+        except InputError:
+            return False
+        return (digest, settings, preset, training) == (
+            self._capture.digest, wanted["settings"], wanted["preset"], wanted["training"])  # fmt: skip
 
-    def _expect(self, name: str, run: Run) -> None:
-        """Raises InputError unless the run is of the options that are asked for."""
+    def _complete(self, row: MethodResult) -> bool:
+        """Whether a row can stay as it is: every image and sequence of now is measured, its picture there, and the run beside it is of
+        the options that its variant has now and renders the same."""
+        views, sequences = {image.view for image in row.images}, [flicker.sequence for flicker in row.flicker]
+        if row.key not in ABLATIONS or not views.issuperset(to_render(self._views, self._sequences)) or sequences != self._sequences:
+            return False
+        if not all((self.folder / PICTURES / row.key / view.file).is_file() for view in views):
+            return False
+        try:
+            run = Run.load(self.folder / row.key)
+            self._expect(run, *ablation(row.key).apply(*self._full))
+        except InputError:
+            return False
+        return NeuralField(run, self._settings.samples).fingerprint() == row.fingerprint
+
+    def _expect(self, run: Run, preset: Preset, options: TrainingOptions) -> None:
+        """Raises InputError unless the run is of these options and of the capture."""
         expect_capture(run, self._capture)
-        preset, options = self._wanted[name]
-        for key, found, wanted in (("preset", run.config["preset"], preset.to_dict()),
-                                   ("training", run.config.get("training"), options.to_dict())):
-            if found != wanted:
-                found = found if isinstance(found, dict) else {}
-                other = sorted(k for k in set(wanted) | set(found) if wanted.get(k) != found.get(k))
-                raise InputError(f"{run.path / 'config.json'}: {key}", f"{other[0]} = {found.get(other[0])!r}",
-                                 f"{wanted.get(other[0])!r}, as asked for now",
+        wanted = (preset.to_dict(), options.to_dict())
+        for key, have, want in zip(("preset", "training"), _read_options(run.config, f"{run.path / 'config.json'}: "), wanted, strict=True):
+            other = sorted(option for option in want if have[option] != want[option])
+            if other:
+                raise InputError(f"{run.path / 'config.json'}: {key}", f"{other[0]} = {have[other[0]]!r}",
+                                 f"{want[other[0]]!r}, as asked for now",
                                  "Give the options that it was started with, or take another folder.")
 
     def _about(self, command: str, preset: Preset, options: TrainingOptions) -> dict[str, Any]:
@@ -156,9 +187,23 @@ class Study:
             "capture": {"name": self._capture.name, "digest": self._capture.digest,
                         **{name: {"cameras": len(split.cameras), "frames": len(split.frames)} for name, split in splits.items()}},
             "measured": measured(self._views, self._sequences),
-            "settings": asdict(self._settings),
+            "protocol": self._protocol.facts(options.to_dict(), self._capture, self._settings.max_images),
+            "settings": self._settings.to_dict(),
             "preset": preset.to_dict(),
             "training": options.to_dict(),
             "command": command,
             "machine": machine.describe(),
         }
+
+
+def _read_options(document: dict[str, Any], where: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Preset and training options of a document with both, an option that did not exist when it was written at its value of then.
+
+    Raises:
+        InputError: either is missing or wrong; `where` and the key are in front.
+    """
+    for key in ("preset", "training"):
+        if not isinstance(document.get(key), dict):
+            raise InputError(f"{where}{key}", repr(document.get(key)), "the options that it was started with")
+    return (Preset.from_dict(document["preset"], f"{where}preset").to_dict(),
+            TrainingOptions.from_dict(document["training"], f"{where}training").to_dict())

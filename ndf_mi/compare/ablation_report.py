@@ -77,7 +77,7 @@ def markdown(results: Results) -> str:
              "agrees"]
     lines = ["| " + " | ".join(heads) + " |", "| --- |" + " --- |" * (len(heads) - 1)]
     lines += ["| " + " | ".join(row) + " |" for row in _rows(results)]
-    lines += ["", *_orders(results)]
+    lines += ["", *_orders(results), *tables.protocol_notes(results)]
     return "\n".join(lines) + "\n"
 
 
@@ -106,7 +106,8 @@ def write_ablation_report(path: str | os.PathLike[str], results: Results, captur
         f"difference in the paper’s table, on another capture. They agree where both are behind, both ahead, or both within {SAME} dB."
         "</p>\n"
         f'<div class="scroll"><table><thead><tr><th></th>{heads}<th></th></tr><tr><th></th>{columns}<th>agrees</th></tr></thead>'
-        f"<tbody>{body}</tbody></table></div>\n{''.join(f'<p>{escape(line)}</p>' for line in _orders(results))}\n"
+        f"<tbody>{body}</tbody></table></div>\n{_paragraphs(_orders(results))}"
+        f"{_paragraphs(tables.protocol_notes(results))}\n"
         f"<h2>Pictures</h2>\n{_pictures(results, capture, pictures)}\n"
         f'<h2>Variants</h2>\n<table class="facts"><tbody>{meanings}</tbody></table>\n'
         f'<h2>How it was made</h2>\n<pre>{escape(results.about["command"])}</pre>\n'
@@ -149,10 +150,15 @@ def _orders(results: Results) -> list[str]:
             for split, (same, pairs) in ((split, pair) for split, pair in found.items() if pair is not None)]
 
 
+def _paragraphs(lines: Sequence[str]) -> str:
+    return "".join(f"<p>{escape(line)}</p>" for line in lines)
+
+
 def _facts(results: Results) -> str:
     about = results.about
     training = ", ".join(f"{key} {value}" for key, value in about["training"].items())
     facts = {"Capture": f"{about['capture']['name']}, digest {about['capture']['digest'][:16]}…", **about["machine"],
+             "Protocol": tables.protocol_sentence(results),
              "Measured": ", ".join(f"{count} of {LABELS[split]}" for split, count in about["measured"].items()), "Training": training}
     return "".join(f"<tr><th>{escape(key)}</th><td>{escape(str(value))}</td></tr>" for key, value in facts.items())
 

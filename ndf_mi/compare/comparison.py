@@ -104,7 +104,8 @@ class Comparison:
         command: the command that the report says made it.
 
     Raises:
-        InputError: run or capture can't be read, they don't belong together, or the folder holds another comparison.
+        InputError: run or capture can't be read, they don't belong together, or the folder's `compare.json` can't be read. What it holds
+            of another run or with other settings is no error: what is rendered otherwise is measured anew, and the rest is of use.
     """
 
     def __init__(

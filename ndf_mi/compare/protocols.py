@@ -11,6 +11,7 @@ from typing import Any
 
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.document import Split
+from ndf_mi.compare.imported import differences
 from ndf_mi.errors import InputError
 
 HELD_OUT = ("novel_view", "novel_pose")
@@ -32,6 +33,7 @@ class Protocol:
         measured_frames: frames at least, by held-out split, that are left of it by `every`.
         edge_kernels: the training option `edge_kernel` is one of these; empty for any.
         black: whether images are composited over black.
+        layout: what captures are imported from by `ndf-mi capture import`; None for any.
     """
 
     name: str
@@ -45,13 +47,11 @@ class Protocol:
     measured_frames: tuple[tuple[str, int], ...] = ()
     edge_kernels: tuple[int, ...] = ()
     black: bool = False
+    layout: str | None = None
 
     def frames(self, split: Split) -> tuple[int, ...]:
         """The frames of a held-out split that are measured; of a split that was thinned out before in the same way, all."""
-        if not split.frames:
-            return ()
-        first = min(split.frames)
-        return tuple(frame for frame in split.frames if (frame - first) % self.every == 0)
+        return split.every(self.every)
 
     def check(self, capture: Capture) -> None:
         """Sees that a capture holds what the protocol needs; `ours` takes any.
@@ -92,11 +92,11 @@ class Protocol:
     def notes(
         self, training: Mapping[str, Any] | None, capture: Capture, max_images: int | None = None
     ) -> list[str]:
-        """Sentences on where training and images differ from the protocol's; empty where they don't.
+        """Sentences on where training, capture and images differ from the protocol's; empty where they don't.
 
         Args:
             training: the run's training options by name; None where they are not known.
-            capture: whose background is looked at, and the number of whose images.
+            capture: whose background, cameras and frames are looked at.
             max_images: what `choose_views` was given.
         """
         notes = []
@@ -105,11 +105,13 @@ class Protocol:
             wanted = " or ".join(map(str, self.edge_kernels))
             notes.append(
                 f"The protocol leaves out the masks' edge band, kernel {wanted}, in training; the run's kernel is "
-                f"{'not known' if kernel is None else kernel}. `ndf-mi optimise --edge-kernel {self.edge_kernels[0]}` leaves it out."
+                f"{'not known' if kernel is None else kernel}. `ndf-mi optimise --option edge_kernel={self.edge_kernels[0]}` leaves it out."
             )
         if self.black and capture.background.any():
             colour = ", ".join(f"{value:.2f}" for value in capture.background)
             notes.append(f"The protocol's images are over black; this capture's background is ({colour}) in sRGB.")
+        if self.layout is not None:
+            notes += differences(self.layout, self.every, capture)
         images = [len(capture.splits[name].cameras) * len(self.frames(capture.splits[name])) for name in HELD_OUT]
         if self.max_images is None and max_images is not None and max_images < max(images):
             whole = " and ".join(map(str, images))
@@ -148,6 +150,7 @@ ZJU = Protocol(
     measured_frames=(("novel_view", 2), ("novel_pose", 7)),
     edge_kernels=(3, 5),
     black=True,
+    layout="zju",
 )
 DYNACAP = Protocol(
     "dynacap",
@@ -159,6 +162,7 @@ DYNACAP = Protocol(
     measured_frames=(("novel_view", 34), ("novel_pose", 34)),
     edge_kernels=(3,),
     black=True,
+    layout="dynacap",
 )
 PROTOCOLS = {protocol.name: protocol for protocol in (OURS, ZJU, DYNACAP)}
 

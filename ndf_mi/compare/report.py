@@ -82,13 +82,8 @@ def _lead(results: Results) -> str:
     train = results.about["capture"]["train"]
     return (
         f"{'Both' if len(results.methods) == 2 else 'All'} were trained on the same images, {train['frames']} frames from "
-        f"{train['cameras']} cameras. Images compared: {escape(', '.join(parts))}. {escape(_protocol(results))}"
+        f"{train['cameras']} cameras. Images compared: {escape(', '.join(parts))}. {escape(tables.protocol_sentence(results))}"
     )
-
-
-def _protocol(results: Results) -> str:
-    protocol = results.about["protocol"]
-    return f"Protocol {protocol['name']}: {protocol['description']}"
 
 
 def _cards(results: Results) -> str:
@@ -199,7 +194,7 @@ def _origin(results: Results) -> str:
         "Run": escape(about["run"]),
         "Capture": f"{escape(about['capture']['name'])}, digest {escape(about['capture']['digest'][:16])}…",
         **{label: escape(value) for label, value in about["machine"].items()},
-        "Protocol": escape(_protocol(results)),
+        "Protocol": escape(tables.protocol_sentence(results)),
         "Comparison": _settings(about["settings"]),
     }
     for method in results.methods:

@@ -35,6 +35,12 @@ def headline(results: Results) -> tuple[str, ...]:
     return tuple(results.about.get("protocol", {}).get("headline", HEADLINE))
 
 
+def protocol_sentence(results: Results) -> str:
+    """The protocol that was measured by, and what it says."""
+    protocol = results.about["protocol"]
+    return f"Protocol {protocol['name']}: {protocol['description']}"
+
+
 def protocol_notes(results: Results) -> list[str]:
     """Sentences on where training, images or their number differ from the protocol's."""
     return list(results.about.get("protocol", {}).get("notes", []))

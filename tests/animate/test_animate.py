@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 from skimage.io import imread, imsave
 
+from ndf_mi import files
 from ndf_mi.animate.animation import Animation, boxes
 from ndf_mi.animate.frames import FrameFolder
 from ndf_mi.animate.shape import parse_shape
@@ -105,6 +108,32 @@ def test_a_stopped_job_keeps_its_frames(model_run: Run, tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         animation.write(folder, animation.missing(folder, [0, 1, 2]), stop)
     assert list(animation.missing(FrameFolder(tmp_path / "a.frames", {}), [0, 1, 2])) == [1, 2]
+
+
+@pytest.mark.parametrize("keep", [0, 4, 20, 0.5, 0.99, -13])
+def test_a_frame_that_cannot_be_read_is_missing(tmp_path: Path, keep: float) -> None:
+    folder = FrameFolder(tmp_path / "a", {})
+    image = np.random.default_rng(0).random((40, 40, 3))
+    for number in (0, 1):
+        folder.write(number, image, "print")
+    assert folder.has(0, "print") and folder.has(1, "print")
+    whole = folder.frame(1).read_bytes()
+    folder.frame(1).write_bytes(whole[: int(keep * len(whole)) if 0 < keep < 1 else int(keep)])
+    assert folder.has(0, "print") and not folder.has(1, "print")
+    folder.frame(1).write_bytes(whole[:200] + bytes(20) + whole[220:])
+    assert not folder.has(1, "print")
+
+
+def test_what_a_killed_write_left_is_no_other_file(tmp_path: Path) -> None:
+    """Killed while the first animation.json is written: only what would be renamed to it is there."""
+    place = tmp_path / "a"
+    killed = "import os, pathlib\nfrom ndf_mi import files\n"
+    killed += f"with files.replacing(pathlib.Path({str(place / 'animation.json')!r})) as beside:\n    os._exit(9)\n"
+    assert subprocess.run([sys.executable, "-c", killed], check=False).returncode == 9
+    (left,) = place.iterdir()
+    assert left.suffix == ".json" and files.is_left_over(left) and not files.is_left_over(place / "animation.json")
+    FrameFolder(place, {}).write(0, np.zeros((2, 2, 3)), "print")
+    assert FrameFolder(place, {}).has(0, "print")
 
 
 def test_frames_do_not_go_among_other_files(tmp_path: Path) -> None:

@@ -109,6 +109,8 @@ GOOD = {"w": 40, "h": 30, "fl_x": 50, "transform_matrix": rigid(0, [0, 0, 0])}
         ({"frames": [3]}, r"frames\[0\]: found a int"),
         ({"frames": [GOOD | {"w": 0}]}, r"frames\[0\].w: found 0"),
         ({"frames": [GOOD | {"w": 1.5}]}, "whole number of pixels"),
+        ({"frames": [GOOD | {"fl_x": 10**400}]}, "fl_x: found 1000.*; expected a finite number"),
+        ({"frames": [GOOD | {"transform_matrix": [10**400] * 16}]}, "4 x 4 numbers"),
         ({"frames": [GOOD | {"fl_x": None}]}, "fl_x: found nothing"),
         ({"frames": [GOOD | {"transform_matrix": [1, 2]}]}, "4 x 4 numbers"),
         ({"frames": [GOOD | {"transform_matrix": (2 * np.eye(4)).tolist()}]}, "rigid motion"),
@@ -126,8 +128,9 @@ def test_refuses(tmp_path: Path, document: Any, message: str) -> None:
 def test_refuses_what_is_no_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="orbit, CAPTURE:NAME, or a JSON file"):
         read_cameras("orbits", 2, 30.0)
-    (tmp_path / "c.json").write_text("{")
-    with pytest.raises(InputError, match="cannot be read as JSON"):
-        read_cameras(str(tmp_path / "c.json"), 2, 30.0)
+    for text in ("{", "[" * 100_000):
+        (tmp_path / "c.json").write_text(text)
+        with pytest.raises(InputError, match="cannot be read as JSON"):
+            read_cameras(str(tmp_path / "c.json"), 2, 30.0)
     with pytest.raises(InputError, match="no such f"):
         read_cameras(str(tmp_path / "nowhere") + ":c0", 2, 30.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,15 @@ class TestFiles:
         path.write_bytes(data)
         with pytest.raises(InputError, match="damaged or truncated"):
             Body.read(path)
+
+    def test_damaged_header(self, small: Body, tmp_path: Path) -> None:
+        """A bracket too few in an array's header ends in tokenize's own error, which is no ValueError."""
+        small.write(tmp_path / "whole.npz")
+        with zipfile.ZipFile(tmp_path / "whole.npz") as whole, zipfile.ZipFile(tmp_path / "body.npz", "w") as damaged:
+            for name in whole.namelist():
+                damaged.writestr(name, whole.read(name).replace(b"}", b" ", 1))
+        with pytest.raises(InputError, match="body.npz: found a damaged or truncated file"):
+            Body.read(tmp_path / "body.npz")
 
     def test_no_pickle(self, fields: dict, tmp_path: Path) -> None:
         fields["joint_names"] = np.array([print, "a", "b", "c"], dtype=object)

@@ -125,6 +125,19 @@ def test_refuses(tmp_path: Path, old: str, new: str, line: int, message: str) ->
     assert f"arm.bvh, line {line}: found" in str(caught.value) and message in str(caught.value)
 
 
+def chain(depth: int) -> str:
+    """A chain of joints, each 1 above the one before, without motion."""
+    opened = "".join(f"{'JOINT' if i else 'ROOT'} j{i}\n{{\nOFFSET 0 1 0\n" for i in range(depth))
+    return f"HIERARCHY\n{opened}CHANNELS 1 Xrotation\n" + "}\n" * depth + "MOTION\nFrames: 1\nFrame Time: 1\n0\n"
+
+
+def test_deep_nesting(tmp_path: Path) -> None:
+    clip = read_bvh(write(tmp_path, chain(3000)))
+    assert len(clip.joint_names) == 3000 and clip.parents.tolist() == list(range(-1, 2999))
+    with pytest.raises(InputError, match="end of the file; expected CHANNELS, JOINT, End Site or } of joint j2999"):
+        read_bvh(write(tmp_path, chain(3000).split("CHANNELS")[0]))
+
+
 def test_truncated_anywhere(tmp_path: Path) -> None:
     for end in range(0, len(ARM) - 2, 7):
         try:

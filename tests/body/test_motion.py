@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from ndf_mi.body import Body
-from ndf_mi.body.bvh import read_bvh
+from ndf_mi.body.bvh import Clip, read_bvh
 from ndf_mi.body.motion import load_clip, pose_sequence, retarget, shipped_clips
-from ndf_mi.body.skinning import joint_transforms
+from ndf_mi.body.skinning import joint_transforms, skin
 from ndf_mi.errors import InputError
 
 
@@ -125,6 +126,32 @@ def test_sequence(anny: Body) -> None:
         pose_sequence(anny, clip, [500])
     with pytest.raises(InputError, match=r"shape: found shape \(2,\); expected \(6,\)"):
         pose_sequence(anny, clip, [0], shape=[1, 2])
+
+
+def test_a_rig_of_its_own(small: Body) -> None:
+    """A clip of the body's own skeleton in centimetres, whose joints are nobody's: it is played as it is, on the ground."""
+    rng = np.random.default_rng(1)
+    body = dataclasses.replace(small, weights=np.eye(4)[np.arange(40) % 4], pose_dirs=None, joint_dirs=None)
+    joints = body.joints.astype(np.float64)
+    offsets = 100 * np.array([joints[j] - (joints[p] if p >= 0 else 0) for j, p in enumerate(body.parents)])
+    positions = np.tile(offsets, (6, 1, 1))
+    positions[:, 0] = [[50 * row, 90 + 10 * row, -30 * row] for row in range(6)]
+    rotations = Rotation.random(24, random_state=rng).as_matrix().reshape(6, 4, 3, 3)
+    clip = Clip("own", body.joint_names, body.parents, offsets, {}, 0.1, positions, rotations)
+    motion = retarget(body, clip)
+    _, source = clip.forward()
+    have = np.array([[*posed_joints(body, motion, row).values()] for row in range(6)])
+    shift = have - source / 100
+    np.testing.assert_allclose(shift, np.broadcast_to([0, shift[0, 0, 1], 0], shift.shape), atol=1e-5)
+    rows = zip(motion.pose, motion.root_rotation, motion.translation, strict=True)
+    assert min(np.array(skin(body, *row)).reshape(-1, 3)[:, 1].min() for row in rows) == pytest.approx(0, abs=1e-5)
+    centre = retarget(body, clip, place="centre").translation
+    treadmill = retarget(body, clip, place="treadmill")
+    assert np.abs([posed_joints(body, treadmill, row)["pelvis"][[0, 2]] for row in range(6)]).max() < 1e-5
+    np.testing.assert_allclose(np.ptp(centre, axis=0), np.ptp(motion.translation, axis=0), atol=1e-5)
+    flat = dataclasses.replace(clip, positions=0 * positions, offsets=0 * offsets)
+    with pytest.raises(InputError, match="clip own: found bones without any length"):
+        retarget(body, flat)
 
 
 def test_mismatch_names_the_joints(anny: Body, small: Body, tmp_path: Path) -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from ndf_mi.body import Body, Poses
+from ndf_mi.body import Body, Poses, bvh
 from ndf_mi.body.motion import load_clip, retarget
 from ndf_mi.body.motion_file import read_performance
+from ndf_mi.body.motion_smpl import COUNTERPARTS, LAYOUTS
 from ndf_mi.body.skinning import skin
 from ndf_mi.errors import InputError
 
@@ -85,13 +87,13 @@ def test_clips_by_name_at_any_rate(anny: Body) -> None:
     np.testing.assert_allclose(performance.motion.pose[2], want.pose[0], atol=1e-6)
 
 
-def test_a_clip_on_smpls_joints(anny: Body) -> None:
-    """The default body's 24 joints that SMPL has, too, called as SMPL calls them: the clip turns them as it does under their own names."""
-    from ndf_mi.body.motion_smpl import COUNTERPARTS, LAYOUTS
+INNER = {smpl: cmu for cmu, smpl in COUNTERPARTS.items()}
 
-    inner = {smpl: anny.joint_names.index(cmu) for cmu, smpl in COUNTERPARTS.items()}
+
+def smpl_like(anny: Body) -> tuple[Body, Poses]:
+    """The default body's 24 joints that SMPL has, too, called as SMPL calls them; and a pose of it."""
     names = LAYOUTS[24]
-    keep = [inner[name] for name in names]
+    keep = [anny.joint_names.index(INNER[name]) for name in names]
     ancestors = []
     for joint in keep:
         parent = anny.parents[joint]
@@ -101,12 +103,33 @@ def test_a_clip_on_smpls_joints(anny: Body) -> None:
     weights = anny.weights[:, keep] + 1e-6
     body = dataclasses.replace(anny, joints=anny.joints[keep], joint_names=names, parents=np.array(ancestors, np.int32),
                                weights=weights / weights.sum(1, keepdims=True), joint_dirs=None)  # fmt: skip
-    poses = Poses(np.array([0]), anny.template[None], np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
+    return body, Poses(np.array([0]), anny.template[None], np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
+
+
+def test_a_clip_on_smpls_joints(anny: Body) -> None:
+    """The clip turns them as it does under their own names."""
+    body, poses = smpl_like(anny)
     have = read_performance("jump", body, poses).motion
     want = retarget(anny, load_clip("jump"))
     np.testing.assert_allclose(have.root_rotation, want.root_rotation, atol=1e-5)
     for name in ("left_knee", "right_shoulder", "left_elbow", "spine2"):
-        np.testing.assert_allclose(have.pose[50, names.index(name)], want.pose[50, inner[name]], atol=1e-5)
+        own = have.pose[50, body.joint_names.index(name)]
+        np.testing.assert_allclose(own, want.pose[50, anny.joint_names.index(INNER[name])], atol=1e-5)
+
+
+@pytest.mark.parametrize("own", ["SMPL's", "numbers"])
+def test_a_bvh_with_the_bodys_own_names(anny: Body, tmp_path: Path, own: str) -> None:
+    """The same clip with its joints called as the body's, SMPL's or other ones in the same tree: it is played just the same."""
+    body, poses = smpl_like(anny)
+    want = read_performance("jump", body, poses).motion
+    called = {INNER[name]: name if own == "SMPL's" else f"joint{j:02d}" for j, name in enumerate(body.joint_names)}
+    body = dataclasses.replace(body, joint_names=tuple(called[INNER[name]] for name in body.joint_names))
+    text = (Path(bvh.__file__).parent / "data" / "jump.bvh").read_text()
+    renamed = re.sub(r"(ROOT|JOINT) (\w+)", lambda found: f"{found[1]} {called.get(found[2], found[2])}", text)
+    (tmp_path / "jump.bvh").write_text(renamed)
+    have = read_performance(tmp_path / "jump.bvh", body, poses).motion
+    for name in ("pose", "root_rotation", "translation"):
+        np.testing.assert_array_equal(getattr(have, name), getattr(want, name))
 
 
 def spoilt(poses: Poses, **changes: np.ndarray) -> dict[str, np.ndarray]:

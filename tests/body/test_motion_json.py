@@ -83,6 +83,8 @@ def test_the_default_body_knows_smpls_names(anny: Body, tmp_path: Path) -> None:
         ([{"time": 0, "joints": {"pelvis": [0, 0, 0]}}], "the joint 'pelvis'"),
         ([{"time": 0, "joints": {"arm": [0, 0]}}], r"joints.arm: found \[0, 0\]; expected three numbers"),
         ([{"time": 0, "joints": {"arm": [0, "x", 0]}}], 'joints.arm: found "x"; expected a finite number'),
+        ([{"time": 0, "joints": {"arm": [0, 10**400, 0]}}], "joints.arm: found 1000.*; expected a finite number"),
+        ([{"time": 10**400}], r"frames\[0\].time: found 1000.*; expected a finite number"),
         ([{"time": 0, "root": [0, float("nan"), 0]}], "root: found NaN; expected a finite number"),
     ],
 )
@@ -93,7 +95,9 @@ def test_refuses(small: Body, tmp_path: Path, frames: Any, message: str) -> None
 
 def test_refuses_what_is_no_motion(small: Body, anny: Body, tmp_path: Path) -> None:
     path = tmp_path / "wave.json"
-    for text, message in (("{", "cannot be read as JSON"), ("[]", "a list"), ('{"frames": [{"time": 0}], "fps": 0}', "fps: found 0")):
+    deep = '{"frames": ' + "[" * 100_000
+    stills = '{"frames": [{"time": 0}], "fps": 0}'
+    for text, message in (("{", "cannot be read as JSON"), (deep, "as JSON .nested too deep."), ("[]", "a list"), (stills, "fps: found 0")):
         path.write_text(text)
         with pytest.raises(InputError, match=message):
             play_json(small, path)

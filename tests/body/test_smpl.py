@@ -175,6 +175,9 @@ SPOILT: dict[str, tuple[dict[str, Any], str]] = {
     "a tree of strangers": ({"kintree_table": np.full((2, 24), 5)}, "kintree_table: found a parent"),
     "faces of another mesh": ({"f": np.array([[0, 1, 6889]])}, "f: found values from 0 to 6889"),
     "pose directions of another model": ({"posedirs": np.zeros((60, 3, 459))}, r"posedirs: found shape \(60, 3, 459\)"),
+    "ragged vertices": ({"v_template": [[0.0, 1.0, 2.0]] * 59 + [[0.0]]}, "v_template: found rows of unequal length"),
+    "ragged faces": ({"f": [[0, 1, 2], [0, 1]]}, "f: found rows of unequal length"),
+    "a ragged tree": ({"kintree_table": [[0] * 24, [1] * 23]}, "kintree_table: found rows of unequal length"),
     "NaN": ({"v_template": np.full((60, 3), np.nan)}, "v_template: found 180 values not finite"),
     "weights that do not add up": ({"weights": np.full((60, 24), 0.1)}, "weights: found .* sums to"),
 }

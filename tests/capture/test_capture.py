@@ -14,6 +14,7 @@ from PIL import Image
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.check import problems, summary
+from ndf_mi.capture.document import Imported, parse_document
 from ndf_mi.errors import InputError
 
 
@@ -76,6 +77,8 @@ def test_the_digest_follows_the_contents(box_capture: Path) -> None:
     assert after != before and len(after) == 64
 
 
+IMPORTED = {"layout": "zju", "subject": "377", "cameras": ["a", "b", "c", "d"], "frames": 5, "test_frames": 30, "scale": 0.5}
+
 BAD_DOCUMENTS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "newer version": (lambda v: v.update(version=2), "version: found 2; expected 1"),
     "other format": (lambda v: v.update(format="zju"), "format"),
@@ -100,7 +103,22 @@ BAD_DOCUMENTS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "frame that poses lack": (lambda v: v["splits"]["train"].update(frames=[0, 3]), "3, which poses.npz lacks"),
     "frame twice": (lambda v: v["splits"]["train"].update(frames=[0, 0]), "splits.train.frames"),
     "lighting that is not there": (lambda v: v.update(lighting={"scene": "l.xml"}), "lighting.scene"),
+    "imported as text": (lambda v: v.update(imported="zju"), 'imported: found "zju"; expected an object'),
+    "imported without a subject": (lambda v: v.update(imported={**IMPORTED, "subject": None}), "imported.subject: found nothing"),
+    "imported cameras by number": (lambda v: v.update(imported={**IMPORTED, "cameras": [1]}), "imported.cameras"),
+    "imported every 0th frame": (lambda v: v.update(imported={**IMPORTED, "frames": 0}), "imported.frames: found 0"),
+    "imported twice as large": (lambda v: v.update(imported={**IMPORTED, "scale": 2}), "imported.scale: found 2"),
+    "a number of 400 digits": (lambda v: v["cameras"][0].update(fl_x=10**400), r"cameras\[0\].fl_x"),
+    "a matrix of 400 digits": (lambda v: v["cameras"][0]["transform_matrix"][0].__setitem__(0, 10**400), "transform_matrix"),
 }
+
+
+def test_what_it_was_imported_from_is_kept_and_optional(box_capture: Path) -> None:
+    assert Capture.read(box_capture).imported is None
+    edit(box_capture, lambda d: d.update(imported=IMPORTED))
+    assert Capture.read(box_capture).imported == Imported("zju", "377", ("a", "b", "c", "d"), 5, 30, 0.5)
+    document, _ = parse_document(box_capture)
+    assert document.as_json()["imported"] == IMPORTED
 
 
 @pytest.mark.parametrize("case", BAD_DOCUMENTS)
@@ -125,6 +143,7 @@ IMAGE, MASK = "images/b/000001.png", "masks/b/000001.png"
 BAD_FILES: dict[str, tuple[str, Callable[[Path], Any], str]] = {
     "no description": ("capture.json", Path.unlink, "no such file"),
     "half a description": ("capture.json", truncate, "cannot be read as JSON"),
+    "a description nested too deep": ("capture.json", lambda f: f.write_text("[" * 100_000), "cannot be read as JSON"),
     "a description that is a list": ("capture.json", lambda f: f.write_text("[]"), "a JSON object"),
     "no body": ("body.npz", Path.unlink, "body.npz"),
     "half a body": ("body.npz", truncate, "body.npz"),

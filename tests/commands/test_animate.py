@@ -85,6 +85,9 @@ def test_interrupted_while_rendering_and_while_encoding(make_run, tmp_path, monk
     (["--motion", "nan.npz"], "nan at frame 1, joint 1"),
     (["--motion", "empty.npz"], "at least one"),
     (["--motion", "bad.json"], "cannot be read as JSON"),
+    (["--motion", "deep.json"], "nested too deep"),
+    (["--motion", "deep.bvh"], "no skinning model"),
+    (["--camera", "huge.json"], "frames[0].w: found 1000"),
     (["--camera", "nowhere"], "orbit, CAPTURE:NAME"),
     (["--camera", "nowhere", "--turns", "2"], "--turns"),
     (["--shape", "1"], "no skinning model"),
@@ -110,6 +113,11 @@ def test_mistakes_are_told_with_exit_code_2(make_run, tmp_path, monkeypatch, cap
     entries["pose"][1, 1, 2] = np.nan
     np.savez("nan.npz", **entries)
     (tmp_path / "bad.json").write_text("{")
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    (tmp_path / "huge.json").write_text(json.dumps({"frames": [{"w": 10**400}]}))
+    joints = "".join(f"{'JOINT' if i else 'ROOT'} j{i}\n{{\nOFFSET 0 1 0\n" for i in range(3000))
+    closed = "CHANNELS 1 Xrotation\n" + "}\n" * 3000
+    (tmp_path / "deep.bvh").write_text(f"HIERARCHY\n{joints}{closed}MOTION\nFrames: 1\nFrame Time: 1\n0\n")
     before = set(tmp_path.rglob("*"))
     given = {"--motion": ["RUN/poses.npz"], "-o": ["x.mp4"]}
     given[arguments[0]] = arguments[1:]

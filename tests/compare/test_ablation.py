@@ -1,16 +1,21 @@
 """The ablation study: trains what is missing, goes on where it was, and says of each row whether it agrees with the paper."""
 
+import dataclasses
 import json
 
 import pytest
 
 from ndf_mi.commands import main
+from ndf_mi.commands.ablate import Ablate
+from ndf_mi.compare import protocols
 from ndf_mi.compare.ablation import RESULTS, Settings, Study
 from ndf_mi.compare.ablation_report import PAPER, agreement, markdown, order
+from ndf_mi.compare.methods import ndf
 from ndf_mi.compare.results import Measured, MethodResult, Results, View
 from ndf_mi.errors import InputError
 from ndf_mi.field import preset
 from ndf_mi.learn import loop
+from ndf_mi.learn.ablations import ABLATIONS
 from ndf_mi.learn.options import TrainingOptions
 
 OPTIONS = TrainingOptions(steps=4, rays=128, samples=24)
@@ -62,6 +67,75 @@ def test_rows_measured_otherwise_are_not_kept_beside_new_ones(capture, tmp_path)
     assert [method.key for method in again.methods] == ["full", "no-pose"]
 
 
+def silent(*_):
+    """Listens to nothing."""
+
+
+def test_a_row_whose_measuring_was_stopped_is_not_kept(capture, tmp_path):
+    """Its means would be over other images than those of the rows beside it."""
+    def stop(title, done, of):
+        if title == "without pose" and done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        study(capture, tmp_path, ("no-pose",)).run(silent, stop)
+    rows = study(capture, tmp_path, ("surface-point",)).run(silent, silent).methods
+    assert [row.key for row in rows] == ["full", "surface-point"]
+    # Named again, it goes on where it was, and then stays beside others.
+    again = study(capture, tmp_path, ("no-pose",)).run(lambda *_: pytest.fail("trained again"), silent).methods
+    assert [row.key for row in again] == ["full", "no-pose", "surface-point"]
+    assert len({len(row.images) for row in again}) == 1
+
+
+def test_a_row_that_was_stopped_before_its_sequences_is_not_kept(capture, tmp_path):
+    study(capture, tmp_path, ("no-pose",)).run(silent, silent)
+    spoil(tmp_path, lambda document: document["methods"][1].update(flicker=[]))
+    assert [row.key for row in study(capture, tmp_path, ()).results.methods] == ["full"]
+
+
+def spoil(folder, change):
+    document = json.loads((folder / RESULTS).read_text())
+    change(document)
+    (folder / RESULTS).write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize("what", ["capture", "renderer", "weights", "variant"])
+def test_rows_of_another_capture_renderer_or_training_are_not_kept(capture, tmp_path, monkeypatch, what):
+    study(capture, tmp_path, ("no-pose",)).run(silent, silent)
+    assert [row.key for row in study(capture, tmp_path, ()).results.methods] == ["full", "no-pose"]
+    if what == "capture":
+        spoil(tmp_path, lambda document: document["capture"].update(digest="0" * 64))
+    elif what == "renderer":
+        monkeypatch.setattr(ndf, "RECIPE", "another")
+    elif what == "variant":
+        monkeypatch.setitem(ABLATIONS, "no-pose", dataclasses.replace(ABLATIONS["no-pose"], training={"pose_noise": 0.0}))
+    else:
+        for file in ("config.json", "field.safetensors"):
+            (tmp_path / "no-pose" / file).write_bytes((tmp_path / "full" / file).read_bytes())
+    assert "no-pose" not in [row.key for row in study(capture, tmp_path, ()).results.methods]
+
+
+def test_studies_from_before_an_option_existed_go_on(capture, tmp_path):
+    """Runs without an entry were trained at its value of then: without noise on the pose, and with today's architecture."""
+    quiet = dataclasses.replace(OPTIONS, pose_noise=0.0)
+    study(capture, tmp_path, ("no-pose",), quiet).run(silent, silent)
+    for name in ("full", "no-pose"):
+        file = tmp_path / name / "config.json"
+        config = json.loads(file.read_text())
+        del config["training"]["pose_noise"]
+        if name == "full":
+            del config["preset"]["density_skip"]
+        file.write_text(json.dumps(config))
+
+    def age(document):
+        del document["training"]["pose_noise"], document["settings"]["protocol"], document["protocol"]
+
+    spoil(tmp_path, age)
+    assert "no-pose" in [row.key for row in study(capture, tmp_path, (), quiet).results.methods]
+    with pytest.raises(InputError, match="pose_noise = 0.0; expected 0.1"):
+        study(capture, tmp_path, (), OPTIONS)
+
+
 def test_other_options_are_refused_by_name(capture, tmp_path):
     study(capture, tmp_path, ()).run(lambda *_: None, lambda *_: None)
     with pytest.raises(InputError, match="rays = 128"):
@@ -98,3 +172,28 @@ def test_command(capture, tmp_path, capsys):
     assert [method["key"] for method in results["methods"]] == ["full", "no-deform"]
     assert main([*arguments[:4], "--only", "no-light"]) == 2
     assert "no-projection" in capsys.readouterr().err
+
+
+def test_options_and_protocols_of_the_command(capture, tmp_path, capsys):
+    arguments = ["ablate", str(capture.path), "-o", str(tmp_path / "study"), "--only", "no-deform", "--preset", "tiny", "--steps", "3",
+                 "--max-images", "1", "--sequence", "0", "--samples", "16", "--option", "rays=96", "--option", "feature_width=4"]
+    assert main(arguments) == 0
+    capsys.readouterr()
+    for name in ("full", "no-deform"):
+        config = json.loads((tmp_path / "study" / name / "config.json").read_text())
+        assert config["training"]["rays"] == 96 and config["preset"]["feature_width"] == 4 and config["training"]["steps"] == 3
+    assert "Protocol ours" in (tmp_path / "study" / "report.html").read_text()
+    assert main([*arguments, "--option", "ray=3"]) == 2
+    assert "NAME one of atlas, band" in capsys.readouterr().err
+    # The capture of a few frames is none of the publication's.
+    assert main([*arguments[:3], str(tmp_path / "zju"), "--protocol", "zju"]) == 2
+    assert "at least 60, for protocol zju" in capsys.readouterr().err and not (tmp_path / "zju").exists()
+    command = Ablate(tmp_path, tmp_path / "out", option=("rays=96", "band=0.12"), protocol="zju")
+    assert command._arguments()[4:] == ["--option", "rays=96", "--option", "band=0.12", "--protocol", "zju"]
+
+
+def test_settings_take_the_protocols_number_of_images():
+    assert Settings().to_dict()["max_images"] == protocols.OURS.max_images == 48
+    assert Settings(protocol="zju").to_dict()["max_images"] is None
+    with pytest.raises(InputError, match="option protocol"):
+        Settings(protocol="human36m")

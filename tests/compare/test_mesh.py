@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 
 import drjit as dr
 import mitsuba as mi
@@ -13,7 +14,10 @@ from ndf_mi.compare import metrics
 from ndf_mi.compare.methods import mesh_fit
 from ndf_mi.compare.methods.mesh import TexturedMesh
 from ndf_mi.compare.methods.mesh_fit import RATES, TextureFit
+from ndf_mi.compare.methods.offset_fit import OffsetFit
+from ndf_mi.compare.methods.rest import RestFrames
 from ndf_mi.compare.methods.surface import TexturedSurface
+from ndf_mi.compare.methods.views import TrainingViews
 from ndf_mi.errors import InputError
 
 
@@ -76,6 +80,38 @@ def test_same_seed_same_texture(capture):
         results.append(fit.texture())
     np.testing.assert_allclose(results[0], results[1], atol=1e-5)
     assert np.abs(results[0] - results[2]).max() > 1e-3
+
+
+@pytest.mark.parametrize("kind", ["texture", "offsets"])
+def test_no_file_is_read_once_the_clock_runs(capture, monkeypatch, kind):
+    """Images, and masks where they are trained on, are in memory as 8-bit values before a fit's seconds begin."""
+    surface, rest = TexturedSurface(capture, 16), RestFrames(capture)
+    read = capture.image
+
+    def slow(camera, frame):
+        time.sleep(0.1)
+        return read(camera, frame)
+
+    def late(camera, frame):
+        pytest.fail("read while the clock runs")
+
+    monkeypatch.setattr(capture, "image", slow)
+    fit = TextureFit(surface, capture, 16, 0.1, 0) if kind == "texture" else OffsetFit(surface, rest, capture, 16, 0.1, 0.02, 0)
+    assert fit.seconds < 0.5  # of eight training images, which take 0.8 s
+    monkeypatch.setattr(capture, "image", late)
+    monkeypatch.setattr(capture, "mask", late)
+    losses = [fit.step() for _ in range(4)]
+    assert np.isfinite(losses).all()
+
+
+def test_training_images_are_the_captures(capture):
+    views = TrainingViews(capture, 0, masks=True)
+    for _ in range(2):
+        frame, chosen = views.next()
+        for camera, (x, y, w, h), image in chosen:
+            whole, mask = capture.image(camera.name, frame), capture.mask(camera.name, frame)
+            np.testing.assert_array_equal(image, whole[y : y + h, x : x + w])
+            np.testing.assert_array_equal(views.coverage(camera, frame)[..., 0], mask[y : y + h, x : x + w])
 
 
 def test_no_kernel_is_compiled_after_the_first_steps(capture):

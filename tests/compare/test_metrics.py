@@ -207,3 +207,47 @@ def test_mismatches_are_refused(pair):
         metrics.psnr(*pair, np.zeros(pair[0].shape[:2], bool))
     with pytest.raises(ValueError, match="7×7"):
         metrics.ssim(pair[0][:6], pair[1][:6])
+
+
+def hunt_lab(rgb: tuple[float, float, float]) -> np.ndarray:
+    """Linear sRGB to L*a*b* with FLIP's white, a and b scaled by L/100 for Hunt's effect (Andersson et al. 2020, section 4.1)."""
+    matrix = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]])
+    scaled = (matrix @ np.array(rgb)) / (matrix @ np.ones(3))
+    f = np.where(scaled > (6 / 29) ** 3, np.cbrt(scaled), scaled / (3 * (6 / 29) ** 2) + 4 / 29)
+    lightness, a, b = 116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])
+    return np.array([lightness, 0.01 * lightness * a, 0.01 * lightness * b])
+
+
+def flip_of_constants(first: tuple[float, float, float], second: tuple[float, float, float]) -> float:
+    """FLIP of two images of one colour each, 0 or 1 a channel: no filter changes them and they have no features."""
+    def distance(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+        difference = hunt_lab(a) - hunt_lab(b)
+        return float(abs(difference[0]) + np.hypot(*difference[1:])) ** 0.7
+
+    largest = distance((0, 1, 0), (0, 0, 1))
+    error, knee = distance(first, second), 0.4 * largest
+    return 0.95 * error / knee if error < knee else 0.95 + 0.05 * (error - knee) / (largest - knee)
+
+
+def test_box_flip_is_of_the_bounding_rectangle_in_the_whole_image():
+    """The truth is black; the picture's right half is white. Filters reach a few pixels: further from the edge than that, FLIP is that of
+    one colour against another."""
+    truth, picture = np.zeros((2, 60, 160, 3), dtype=np.float32)
+    picture[:, 80:] = 1
+    white = flip_of_constants((0, 0, 0), (1, 1, 1))
+    assert 0.9 < white < 1
+
+    def box_flip(*pixels: tuple[int, int]) -> float | None:
+        mask = np.zeros((60, 160), dtype=bool)
+        mask[tuple(np.transpose(pixels))] = True
+        return metrics.measure(truth, picture, mask)["box_flip"]
+
+    # Two corners of the mask span a rectangle; what lies between them counts, mask or not.
+    assert box_flip((5, 3), (40, 40)) == pytest.approx(0, abs=1e-4)
+    assert box_flip((5, 120), (40, 155)) == pytest.approx(white, abs=2e-3)
+    # A rectangle of 20 rows and 110 columns over the edge: its ends are known, its middle of 60 columns is the same wherever it ends.
+    middle = box_flip((20, 50), (39, 109))
+    assert box_flip((20, 50), (39, 159)) == pytest.approx((60 * middle + 50 * white) / 110, abs=2e-3)
+    assert box_flip((20, 0), (39, 109)) == pytest.approx(60 * middle / 110, abs=2e-3)
+    # FLIP is taken of the whole image: the white beside this rectangle of black reaches into it.
+    assert box_flip((20, 66), (39, 79)) > 1e-3

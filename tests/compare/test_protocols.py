@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ndf_mi.capture.document import Split
+from ndf_mi import commands
+from ndf_mi.capture.document import Imported, Split
 from ndf_mi.commands import main
 from ndf_mi.commands.compare import Compare
+from ndf_mi.commands.training_options import configured
 from ndf_mi.compare import metrics
 from ndf_mi.compare.evaluate import choose_views
 from ndf_mi.compare.flicker import choose_sequences
@@ -21,13 +25,14 @@ from ndf_mi.field import PRESETS
 from ndf_mi.run import Run
 
 
-def layout(train=4, test=17, seen=range(60), novel=range(60, 260), background=0.0):
+def layout(train=4, test=17, seen=range(60), novel=range(60, 260), background=0.0, imported=None):
     """A capture's splits without its images."""
     cameras = tuple(f"c{i:02d}" for i in range(train + test))
     held = cameras[train:]
     return SimpleNamespace(
         path=Path("capture"),
         background=np.full(3, background, np.float32),
+        imported=imported,
         splits={
             "train": Split(cameras[:train], tuple(seen)),
             "novel_view": Split(held, tuple(seen)),
@@ -116,16 +121,87 @@ def test_views_of_frames_not_trained_on_are_refused():
 
 
 def test_what_differs_in_training_is_said():
-    grey = layout(background=0.5)
-    assert ZJU.notes({"edge_kernel": 3}, layout()) == []
+    grey, black = layout(background=0.5, **OF_313), layout(**OF_313)
+    assert ZJU.notes({"edge_kernel": 3}, black) == []
     kernel, background = ZJU.notes({"edge_kernel": 0}, grey)
-    assert "kernel is 0" in kernel and "--edge-kernel 3" in kernel and "(0.50, 0.50, 0.50)" in background
-    assert "not known" in ZJU.notes(None, layout())[0]
-    assert OURS.notes(None, grey, 3) == []
-    # 17 cameras; 2 frames of the novel views and 7 of the novel poses.
-    assert ZJU.notes({"edge_kernel": 5}, layout(), 200) == []
-    (part,) = ZJU.notes({"edge_kernel": 5}, layout(), 40)
-    assert "At most 40" in part and "34 and 119" in part
+    assert "kernel is 0" in kernel and "(0.50, 0.50, 0.50)" in background
+    assert "not known" in ZJU.notes(None, black)[0]
+    assert OURS.notes(None, layout(background=0.5), 3) == []
+    # 17 cameras; 2 frames of the novel views and 34 of the novel poses.
+    assert ZJU.notes({"edge_kernel": 5}, black, 600) == []
+    (part,) = ZJU.notes({"edge_kernel": 5}, black, 40)
+    assert "At most 40" in part and "34 and 578" in part
+
+
+def imported(subject, names, layout="zju", scale=0.5):
+    return Imported(layout, subject, tuple(names), 1, 30, scale)
+
+
+def zju_order(count):
+    """`count` cameras in a file's order, of which the first four of `layout` are at 0, 6, 12 and 18."""
+    names = [f"c{i:02d}" for i in range(4, count)]
+    for place, name in zip((0, 6, 12, 18), ("c00", "c01", "c02", "c03"), strict=True):
+        names.insert(place, name)
+    return names
+
+
+#: All of subject 313: 21 cameras, 60 frames to train on and 1,000 of novel poses.
+OF_313 = {"seen": range(60), "novel": range(60, 1060), "imported": imported("313", zju_order(21))}
+
+DIFFERENCES = {
+    "nothing": (OF_313, []),
+    "thinned out as the protocol does": (OF_313 | {"novel": range(60, 1060, 30)}, []),
+    "another subject's frames": (OF_313 | {"imported": imported("377", zju_order(21))}, [
+        "60 of 300 training frames of subject 377", "2 frames of novel views are measured; the protocol has 10",
+        "34 frames of novel poses are measured; the protocol has 7"]),
+    "fewer novel poses": (OF_313 | {"novel": range(60, 260)}, ["7 frames of novel poses are measured; the protocol has 34"]),
+    "other training cameras": (OF_313 | {"imported": imported("313", [f"c{i:02d}" for i in range(21)])}, [
+        "Training cameras are not the protocol's, but without c06, c12, c18 and with c01, c02, c03",
+        "Test cameras of novel views are not", "Test cameras of novel poses are not"]),
+    "fewer test cameras": (OF_313 | {"imported": imported("313", zju_order(23))}, [
+        "Test cameras of novel views are not the protocol's, but without c21, c22.", "Test cameras of novel poses"]),
+    "another size": (OF_313 | {"imported": imported("313", zju_order(21), scale=1.0)}, [
+        "Images are at 1 of 1024² pixels; the protocol's are at 0.5."]),
+    "an unknown subject": (OF_313 | {"imported": imported("999", zju_order(21))}, ["Of subject '999' the protocol is not known"]),
+    "another layout": (OF_313 | {"imported": imported("D1", zju_order(21), "dynacap")}, ["imported from another layout, dynacap"]),
+    "nothing known": (OF_313 | {"imported": None}, ["does not say what it was imported from"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", DIFFERENCES)
+def test_every_difference_from_the_subjects_protocol_is_said(case):
+    arguments, expected = DIFFERENCES[case]
+    capture = layout(**arguments)
+    ZJU.check(capture)
+    notes = ZJU.notes({"edge_kernel": 3}, capture)
+    assert len(notes) == len(expected) and all(words in note for words, note in zip(expected, notes, strict=True)), notes
+
+
+def test_differences_from_dynacaps_numbers_are_said():
+    def notes(test, seen, novel):
+        capture = layout(10, test, seen, novel, imported=imported("D1", (), "dynacap", 1.0))
+        DYNACAP.check(capture)
+        return DYNACAP.notes({"edge_kernel": 3}, capture)
+
+    assert notes(5, range(1000), range(1000, 2000)) == []
+    more, views, poses = notes(6, range(1010), range(1010, 2010))
+    assert "1010 of 1000 training frames of a sequence" in more and "6 cameras test novel views; the protocol has 5" in views and poses
+
+
+def advised(text):
+    """The command in backquotes that a text advises, read by the command line's own parser, with a capture and a run."""
+    words = shlex.split(re.search("`ndf-mi (optimise [^`]*)`", text)[1])
+    return commands._parse(commands.find(words), [*words[1:], "CAPTURE", "-o", "RUN"])
+
+
+def test_what_is_advised_can_be_typed():
+    for protocol in (ZJU, DYNACAP):
+        command = advised(protocol.notes({"edge_kernel": 0}, layout())[0])
+        assert configured(command.preset, command.option)[1].edge_kernel in protocol.edge_kernels
+    manual = (Path(__file__).parents[2] / "docs" / "protocols.md").read_text()
+    for found in re.finditer("`ndf-mi optimise [^`]*`", manual):
+        command = advised(found[0])
+        configured(command.preset, command.option)
 
 
 def test_headlines_name_both_data_ranges():

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ndf_mi import unpickle
+from ndf_mi.body import arrays
 from ndf_mi.capture.document import Split
 from ndf_mi.capture.readers.source import Calibration
 from ndf_mi.errors import InputError
@@ -95,7 +96,7 @@ def read_annotations(folder: Path, size: tuple[int, int] | None) -> Annotations:
     if not rows:
         raise InputError(f"{file}: ims", "no frame", "at least one")
     lists = {key: held["cams"].get(key) for key in ("K", "D", "R", "T")}
-    counts = {key: len(value) if isinstance(value, list | np.ndarray) else 0 for key, value in lists.items()}
+    counts = {key: _length(value) for key, value in lists.items()}
     if len(set(counts.values())) != 1 or counts["K"] == 0:
         raise InputError(f"{file}: cams", f"{counts} entries", "K, D, R and T of each camera")
     wrong = [i for i, row in enumerate(rows) if len(row) != counts["K"]]
@@ -123,8 +124,19 @@ def fit_files(folder: Path, choice: str | None, frames: Sequence[int]) -> tuple[
     """
     place = fit_folder(folder, choice)
     vertices = folder / FITS[place.name]
-    there = frames if vertices.is_dir() else ()
-    return {i: place / f"{i}.npy" for i in frames}, {i: vertices / f"{i}.npy" for i in there}, place.name == "new_params"
+    return _files(place, frames), _files(vertices, frames if vertices.is_dir() else ()), place.name == "new_params"
+
+
+def numbered_files(folder: Path) -> dict[int, Path]:
+    """The ``.npy`` files of a folder whose names are numbers, by number; with leading zeros only where there is none without."""
+    found = sorted((file for file in folder.glob("*.npy") if file.stem.isdecimal()), key=lambda file: -len(file.stem))
+    return {int(file.stem): file for file in found}
+
+
+def _files(folder: Path, frames: Sequence[int]) -> dict[int, Path]:
+    """The file of each frame; where there is none, what it would be called."""
+    there = numbered_files(folder) if frames else {}
+    return {i: there.get(i, folder / f"{i}.npy") for i in frames}
 
 
 def fit_folder(folder: Path, choice: str | None) -> Path:
@@ -134,6 +146,11 @@ def fit_folder(folder: Path, choice: str | None) -> Path:
             return folder / name
     expected = "the fitted body, a file a frame" + ("" if choice else ", in new_params or params")
     raise InputError(folder / (choice or "new_params"), "no such folder", expected)
+
+
+def _length(value: Any) -> int:
+    """How many entries a list or an array has; 0 for anything else."""
+    return len(value) if isinstance(value, list) or (isinstance(value, np.ndarray) and value.ndim) else 0
 
 
 def _row(file: Path, i: int, entry: Any) -> list[PurePosixPath]:
@@ -157,10 +174,7 @@ def _names(row: list[PurePosixPath]) -> list[str]:
 def _calibration(file: Path, i: int, name: str, lists: dict[str, Any], size: tuple[int, int] | None) -> Calibration:
     parts = {}
     for key, count in (("K", 9), ("D", None), ("R", 9), ("T", 3)):
-        try:
-            array = np.asarray(lists[key][i])
-        except ValueError:
-            raise InputError(f"{file}: cams.{key}[{i}]", "rows of unequal length", f"{count or 'up to 5'} numbers") from None
+        array = arrays.regular(f"{file}: cams.{key}[{i}]", lists[key][i])
         if array.dtype.kind not in "iuf" or (count is not None and array.size != count):
             raise InputError(f"{file}: cams.{key}[{i}]", f"type {array.dtype}, shape {array.shape}", f"{count or 'up to 5'} numbers")
         parts[key] = array.astype(np.float64).ravel()

@@ -15,15 +15,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ndf_mi.capture.document import Split
-from ndf_mi.capture.readers.annotated import FILE_NAME, fit_files, fit_folder, read_annotations
+from ndf_mi.capture.readers.annotated import FILE_NAME, fit_files, fit_folder, numbered_files, read_annotations
 from ndf_mi.capture.readers.skeletool import read_calibrations
 from ndf_mi.capture.readers.source import Selection, Source
 from ndf_mi.errors import InputError
 
+LAYOUT = "dynacap"
 FRAMES = 1000
 """Frames to train on, and then as many of novel poses."""
 
-_TRAIN, _TEST = 10, 5
+TRAIN_CAMERAS, TEST_CAMERAS = 10, 5
+"""How many; which ones the publication doesn't say."""
+
 _CALIBRATION = "cameras.calibration"
 _IMAGES, _MASKS = "images", "foregroundSegmentation"
 
@@ -33,7 +36,7 @@ def read_dynacap(folder: Path, selection: Selection | None = None, fits: str | N
     folder, selection = Path(folder), selection or Selection()
     if not folder.is_dir():
         raise InputError(folder, "no such folder", "a sequence of DynaCap")
-    name = f"dynacap-{folder.resolve().name}"
+    name = folder.resolve().name
     if (folder / FILE_NAME).is_file():
         annotations = read_annotations(folder, None)
         rows = range(min(len(annotations.rows), 2 * FRAMES))
@@ -41,17 +44,16 @@ def read_dynacap(folder: Path, selection: Selection | None = None, fits: str | N
         splits = _splits(folder, selection, list(annotations.calibrations), numbers)
         images = annotations.images(splits, rows, numbers)
         files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
-        return Source(name, annotations.calibrations, splits, images, files, vertices, blended)
+        return Source(LAYOUT, name, selection, annotations.calibrations, splits, images, files, vertices, blended)
     cameras = read_calibrations(_calibration_file(folder))
-    place = fit_folder(folder, fits)
-    numbers = sorted(int(file.stem) for file in place.glob("*.npy") if file.stem.isdecimal())
+    numbers = sorted(numbered_files(fit_folder(folder, fits)))
     splits = _splits(folder, selection, list(cameras), numbers)
     images = {}
     for camera, frame in {pair for split in splits.values() for pair in split}:
         stem = f"{camera}/image_c_{camera}_f_{frame}"
         images[camera, frame] = (_file(folder / _IMAGES / stem, ".jpg", ".png"), _file(folder / _MASKS / stem, ".png", ".jpg"))
     files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
-    return Source(name, cameras, splits, images, files, vertices, blended, mask_above=127)
+    return Source(LAYOUT, name, selection, cameras, splits, images, files, vertices, blended, mask_above=127)
 
 
 def _splits(folder: Path, selection: Selection, names: list[str], numbers: Sequence[int]) -> dict[str, Split]:
@@ -63,7 +65,7 @@ def _splits(folder: Path, selection: Selection, names: list[str], numbers: Seque
 
 def _spread(names: Sequence[str]) -> tuple[list[str], list[str]]:
     """Ten and five of the cameras, spread evenly: of fifteen, every third is for testing."""
-    count = _TRAIN + _TEST
+    count = TRAIN_CAMERAS + TEST_CAMERAS
     if len(names) < count:
         return list(names), list(names)
     chosen = [names[i * len(names) // count] for i in range(count)]

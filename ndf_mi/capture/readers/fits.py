@@ -77,7 +77,7 @@ def read_vertices(files: Sequence[Path]) -> np.ndarray:
     found: list[np.ndarray] = []
     for file in files:
         count = len(found[0]) if found else None
-        array = np.asarray(unpickle.load_npy(file))
+        array = arrays.regular(f"{file}", unpickle.load_npy(file))
         found.append(arrays.floats(f"{file}", array[0] if array.ndim == 3 and len(array) == 1 else array, (count, 3)))
     return np.stack(found)
 
@@ -91,8 +91,9 @@ def _read(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         if key not in held:
             raise InputError(f"{file}: {key}", f"only {', '.join(map(str, held)) or 'nothing'}", f"an array {key!r}")
         # Checked as float32, which is what it becomes; kept in double precision, since the world is turned before.
-        arrays.floats(f"{file}: {key}", np.ravel(held[key]), (None,))
-        found[key] = np.ravel(held[key]).astype(np.float64)
+        numbers = arrays.regular(f"{file}: {key}", held[key]).ravel()
+        arrays.floats(f"{file}: {key}", numbers, (None,))
+        found[key] = numbers.astype(np.float64)
     pose = found["poses"]
     if pose.size == 3 * (JOINTS - 1):
         pose = np.concatenate([np.zeros(3), pose])

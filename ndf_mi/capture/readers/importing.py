@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from ndf_mi.body.skinning import skin
 from ndf_mi.body.smpl import load_smpl
 from ndf_mi.body.uv_file import read_uv
 from ndf_mi.capture.camera import Camera
-from ndf_mi.capture.document import Document
+from ndf_mi.capture.document import Document, Imported
 from ndf_mi.capture.readers.fits import JOINTS, Fits, read_fits, read_vertices
 from ndf_mi.capture.readers.rectify import Rectifier, read_labels, read_rgb, shrunk, size_of
 from ndf_mi.capture.readers.source import Source
@@ -142,7 +142,9 @@ def _raw_camera(source: Source, name: str, turn: np.ndarray) -> Camera:
 def _document(source: Source, raw: dict[str, Camera], scale: float) -> Document:
     """What ``capture.json`` shall say: the ideal cameras, in the layout's order."""
     cameras = {name: shrunk(raw[name], scale) for name in source.calibrations if name in raw}
-    return Document(source.name, BACKGROUND, cameras, source.splits)
+    chosen = source.selection
+    imported = Imported(source.layout, source.subject, tuple(source.calibrations), chosen.frames, chosen.test_frames, scale)
+    return Document(source.name, BACKGROUND, cameras, source.splits, imported=imported)
 
 
 def _write(
@@ -190,12 +192,14 @@ def _check_free(out: Path) -> None:
 
 @contextmanager
 def _staged(out: Path) -> Iterator[Path]:
-    """A hidden folder beside ``out`` that takes its place if the block succeeds, and else is removed."""
+    """A hidden folder beside ``out`` that takes its place if the block succeeds, and else is removed, with the parents made for it."""
     out = out.resolve()
+    made = [parent for parent in out.parents if not parent.exists()]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         stage = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     except OSError as error:
+        _remove_empty(made)
         raise InputError(out, f"a place that cannot be written ({error})", "a new folder's name") from None
     try:
         inner = stage / "capture"  # made with the user's own permissions, which a temporary folder isn't
@@ -206,3 +210,12 @@ def _staged(out: Path) -> Iterator[Path]:
         os.replace(inner, out)
     finally:
         shutil.rmtree(stage, ignore_errors=True)
+        if not out.exists():
+            _remove_empty(made)
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    """Removes those of the folders, the innermost first, that are there and hold nothing."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()

@@ -62,39 +62,6 @@ class Calibration:
         return Camera(self.name, *size, fx, fy, cx + 0.5, cy + 0.5, transform, (k1, k2, k3, p1, p2))
 
 
-@dataclass(frozen=True, eq=False)
-class Source:
-    """A capture as it lies in a folder of another layout.
-
-    Attributes:
-        name: the capture's name.
-        calibrations: by camera.
-        splits: ``train``, ``novel_view`` and ``novel_pose``.
-        images: image and mask of every camera and frame that a split names.
-        fits: by frame, the file with ``poses``, ``shapes``, ``Rh`` and ``Th``.
-        vertices: by frame, the file with the posed vertices; empty where the layout comes without.
-        pose_blend_shapes: whether the fits were made with them.
-        mask_above: the value above which a mask's pixel is the performer's.
-    """
-
-    name: str
-    calibrations: dict[str, Calibration]
-    splits: dict[str, Split]
-    images: dict[tuple[str, int], tuple[Path, Path]]
-    fits: dict[int, Path]
-    vertices: dict[int, Path]
-    pose_blend_shapes: bool
-    mask_above: int = 0
-
-    def check_files(self) -> None:
-        """Raises InputError, naming the first, unless every file is there."""
-        files = [*self.fits.values(), *self.vertices.values(), *(file for pair in self.images.values() for file in pair)]
-        missing = [file for file in files if not file.is_file()]
-        if missing:
-            more = f", and {len(missing) - 1} more are missing" if len(missing) > 1 else ""
-            raise InputError(missing[0], f"no such file{more}", f"all {len(files)} files of the frames and cameras chosen")
-
-
 @dataclass(frozen=True)
 class Selection:
     """Which part of a capture is imported.
@@ -152,3 +119,45 @@ class Selection:
             "novel_view": Split(tuple(test), tuple(view_frames[:: self.test_frames])),
             "novel_pose": Split(tuple(test), tuple(pose_frames[:: self.test_frames])),
         }
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A capture as it lies in a folder of another layout.
+
+    Attributes:
+        layout: ``zju`` or ``dynacap``.
+        subject: the subject's or sequence's name.
+        selection: which part of it is imported.
+        calibrations: by camera, all that the layout has, in its order.
+        splits: ``train``, ``novel_view`` and ``novel_pose``.
+        images: image and mask of every camera and frame that a split names.
+        fits: by frame, the file with ``poses``, ``shapes``, ``Rh`` and ``Th``.
+        vertices: by frame, the file with the posed vertices; empty where the layout comes without.
+        pose_blend_shapes: whether the fits were made with them.
+        mask_above: the value above which a mask's pixel is the performer's.
+    """
+
+    layout: str
+    subject: str
+    selection: Selection
+    calibrations: dict[str, Calibration]
+    splits: dict[str, Split]
+    images: dict[tuple[str, int], tuple[Path, Path]]
+    fits: dict[int, Path]
+    vertices: dict[int, Path]
+    pose_blend_shapes: bool
+    mask_above: int = 0
+
+    @property
+    def name(self) -> str:
+        """The capture's name."""
+        return f"{self.layout}-{self.subject}"
+
+    def check_files(self) -> None:
+        """Raises InputError, naming the first, unless every file is there."""
+        files = [*self.fits.values(), *self.vertices.values(), *(file for pair in self.images.values() for file in pair)]
+        missing = [file for file in files if not file.is_file()]
+        if missing:
+            more = f", and {len(missing) - 1} more are missing" if len(missing) > 1 else ""
+            raise InputError(missing[0], f"no such file{more}", f"all {len(files)} files of the frames and cameras chosen")

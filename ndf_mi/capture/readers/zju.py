@@ -14,9 +14,13 @@ from ndf_mi.capture.readers.annotated import fit_files, read_annotations
 from ndf_mi.capture.readers.source import Selection, Source
 from ndf_mi.errors import InputError
 
+LAYOUT = "zju"
 TRAIN_CAMERAS = (0, 6, 12, 18)
+"""Their places in the file's order; all others are tested."""
 SIZE = (1024, 1024)
 """The size that the calibrations belong to; images of another size are resized to it first."""
+SCALE = 0.5
+"""Size of the images that the publications train on to `SIZE`."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ def read_zju(
     splits = selection.splits(names, train, names, view, pose)
     images = annotations.images(splits, [*of.train, *of.novel_pose], [*view, *pose])
     files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
-    return Source(f"zju-{key}", annotations.calibrations, splits, images, files, vertices, blended)
+    return Source(LAYOUT, key, selection, annotations.calibrations, splits, images, files, vertices, blended)
 
 
 def _guess(folder: Path) -> str:

@@ -40,7 +40,7 @@ class MeshFacts:
         rate: Adam's first learning rate, in sRGB units a step.
         sweep: training loss reached by each rate tried, keyed by the rate as text.
         sweep_seconds: time of the sweep; not part of `seconds`.
-        budget: the wall-clock time given in seconds, None for training to convergence.
+        budget: the wall-clock time given in seconds, None for training to convergence; decoding the images is not part of it.
         seconds, steps: time and steps of training.
         converged: whether training ended because the loss stopped falling.
         seen: the share of texels that training images have coloured.
@@ -92,7 +92,8 @@ class TexturedMesh:
 
         Args:
             capture: with a `train` split.
-            seconds: wall-clock budget, with a rate that decays over it; None trains until the loss stops falling.
+            seconds: wall-clock budget, with a rate that decays over it; None trains until the loss stops falling. The clock starts
+                when all images are in memory, as that of a field's training does.
             seed: of the order of images and of the samples.
             progress: called after each step with (seconds, step, loss).
         """

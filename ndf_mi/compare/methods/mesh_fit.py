@@ -45,6 +45,7 @@ class TextureFit:
         seed: of the order of frames and of the samples.
         frames: a subset of the training frames; all by default.
         margin: metres around the body that the images trained on show, too.
+        masks: whether the masks are trained on, too.
     """
 
     def __init__(
@@ -56,9 +57,10 @@ class TextureFit:
         seed: int,
         frames: Sequence[int] | None = None,
         margin: float = 0.0,
+        masks: bool = False,
     ) -> None:
         self._surface = surface
-        self._views = TrainingViews(capture, seed, frames, margin)
+        self._views = TrainingViews(capture, seed, frames, margin, masks)
         self._rate = rate
         self._seed = seed
         self._optimizer = mi.ad.Adam(lr=rate, mask_updates=True)
@@ -70,7 +72,7 @@ class TextureFit:
 
     @property
     def seconds(self) -> float:
-        """Wall-clock time since the fit was made."""
+        """Wall-clock time since the images had been decoded and the fit begun, as a field's training time is counted."""
         return time.perf_counter() - self._start
 
     def texture(self) -> np.ndarray:

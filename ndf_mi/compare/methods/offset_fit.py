@@ -66,7 +66,7 @@ class OffsetFit(TextureFit):
         seed: int,
         frames: Sequence[int] | None = None,
     ) -> None:
-        super().__init__(surface, capture, size, rate, seed, frames, MARGIN)
+        super().__init__(surface, capture, size, rate, seed, frames, MARGIN, masks=True)
         self._rest = rest
         self._faces = capture.body.faces
         self._contours = Contours(self._faces)
@@ -102,7 +102,7 @@ class OffsetFit(TextureFit):
             self._surface.layers(camera, TRAIN_SPP, self._sampler_seed(index, views), rectangle)
             for index, (camera, rectangle, _) in enumerate(views)
         ]
-        targets = [np.dstack([truth, self._views.coverage(c, frame, box)]) for c, box, truth in views]
+        targets = [np.dstack([truth, self._views.coverage(c, frame)]) for c, _, truth in views]
         error, adjoints = _image_loss(layers, targets, self._views.area * len(views))
         moved = np.zeros_like(posed, dtype=np.float64)
         for (camera, rectangle, _), adjoint in zip(views, adjoints, strict=True):

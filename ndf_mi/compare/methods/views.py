@@ -12,12 +12,14 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 
 CAMERAS_A_STEP = 4
-_CACHE_BYTES = 1 << 30
 Rectangle = tuple[int, int, int, int]
 
 
 class TrainingViews:
     """The `train` split, a frame at a time.
+
+    All images are decoded when this is made and kept as 8-bit values, as those that the field trains on are, so that time spent
+    training holds no reading of files on either side. Pixels resampled because their camera has distortion are rounded.
 
     All images of one camera are cut to rectangles of one size, so that kernels are compiled once; where cameras agree
     in size, so do the rectangles.
@@ -27,6 +29,7 @@ class TrainingViews:
         seed: of the order.
         frames: a subset of the training frames; all by default.
         margin: metres around the body that the rectangles hold, too.
+        masks: whether `coverage` will be asked for.
 
     Attributes:
         area: pixels of the rectangles that there are without a margin, the mean over the cameras.
@@ -35,7 +38,8 @@ class TrainingViews:
         InputError: the capture has no training split, or the body is out of every training camera's sight.
     """
 
-    def __init__(self, capture: Capture, seed: int, frames: Sequence[int] | None = None, margin: float = 0.0) -> None:
+    def __init__(self, capture: Capture, seed: int, frames: Sequence[int] | None = None, margin: float = 0.0,
+                 masks: bool = False) -> None:
         split = capture.splits["train"]
         chosen = split.frames if frames is None else tuple(frames)
         if not chosen or not split.cameras:
@@ -50,9 +54,9 @@ class TrainingViews:
         self.area = float(np.mean([np.prod(np.minimum(smallest, [c.w, c.h])) for c in self._cameras]))
         self._corners = {frame: _bounds(capture, self._cameras, frame, margin) for frame in chosen}
         self._extent = self._largest(self._corners)
-        self._images: dict[tuple[str, int], np.ndarray] = {}
-        self._coverages: dict[tuple[str, int], np.ndarray] = {}
-        self._bytes = 0
+        pairs = [(index, frame) for frame in chosen for index in range(len(self._cameras))]
+        self._images = {pair: self._image(*pair) for pair in pairs}
+        self._coverages = {(self._cameras[i].name, frame): self._coverage(i, frame) for i, frame in pairs if masks}
 
     @property
     def frames(self) -> int:
@@ -68,7 +72,7 @@ class TrainingViews:
         return np.concatenate(pixels).mean(axis=0)
 
     def next(self) -> tuple[int, list[tuple[Camera, Rectangle, np.ndarray]]]:
-        """The next frame and, for up to four random cameras, camera, rectangle (x, y, w, h) and image in it."""
+        """The next frame and, for up to four random cameras, camera, rectangle (x, y, w, h) and image in it, (h, w, 3) float32 sRGB."""
         if not self._order:
             self._order = self._random.permutation(len(self._frames)).tolist()
         frame = self._frames[self._order.pop()]
@@ -76,19 +80,12 @@ class TrainingViews:
         chosen = np.sort(self._random.permutation(len(self._cameras))[:count])
         return frame, [self._view(int(index), frame) for index in chosen]
 
-    def coverage(self, camera: Camera, frame: int, rectangle: Rectangle) -> np.ndarray:
-        """(h, w, 2) float32 of the rectangle: 1 on the performer's mask; 1 where that is certain, off the mask's edge.
+    def coverage(self, camera: Camera, frame: int) -> np.ndarray:
+        """(h, w, 2) float32 of the view's rectangle: 1 on the performer's mask; 1 where that is certain, off the mask's edge.
 
         Pixels of the edge, within 3 × 3 of both sides, are covered in part, or the mask may be wrong about them.
         """
-        key = (camera.name, frame)
-        if key not in self._coverages:
-            mask = self._capture.mask(*key)
-            around = np.ones((3, 3), dtype=bool)
-            certain = binary_erosion(mask, around, border_value=1) | ~binary_dilation(mask, around)
-            self._coverages[key] = np.stack([mask, certain], axis=-1)
-        x, y, width, height = rectangle
-        return self._coverages[key][y : y + height, x : x + width].astype(np.float32)
+        return self._coverages[camera.name, frame].astype(np.float32)
 
     def _largest(self, corners: dict[int, np.ndarray]) -> np.ndarray:
         """(2,) width and height of the largest of rectangles (cameras, low and high, 2), and a pixel on each side."""
@@ -98,18 +95,32 @@ class TrainingViews:
         return np.ceil(extent).astype(int) + 2
 
     def _view(self, index: int, frame: int) -> tuple[Camera, Rectangle, np.ndarray]:
+        image = self._images[index, frame].astype(np.float32) / np.float32(255)
+        return self._cameras[index], self._rectangle(index, frame), image
+
+    def _rectangle(self, index: int, frame: int) -> Rectangle:
         camera = self._cameras[index]
         width, height = (int(value) for value in np.minimum(self._extent, [camera.w, camera.h]))
         low = np.floor(self._corners[frame][index, 0]).astype(int) - 1
         x, y = (int(value) for value in np.clip(low, 0, [camera.w - width, camera.h - height]))
-        key = (camera.name, frame)
-        if key not in self._images:
-            image = np.ascontiguousarray(self._capture.image(*key)[y : y + height, x : x + width])
-            if self._bytes + image.nbytes > _CACHE_BYTES:
-                return camera, (x, y, width, height), image
-            self._images[key] = image
-            self._bytes += image.nbytes
-        return camera, (x, y, width, height), self._images[key]
+        return x, y, width, height
+
+    def _image(self, index: int, frame: int) -> np.ndarray:
+        """(h, w, 3) uint8 sRGB in the view's rectangle."""
+        image = _cut(self._capture.image(self._cameras[index].name, frame), self._rectangle(index, frame))
+        return np.round(image * 255).astype(np.uint8)
+
+    def _coverage(self, index: int, frame: int) -> np.ndarray:
+        """(h, w, 2) bool, see `coverage`."""
+        mask = self._capture.mask(self._cameras[index].name, frame)
+        around = np.ones((3, 3), dtype=bool)
+        certain = binary_erosion(mask, around, border_value=1) | ~binary_dilation(mask, around)
+        return _cut(np.stack([mask, certain], axis=-1), self._rectangle(index, frame)).copy()
+
+
+def _cut(image: np.ndarray, rectangle: Rectangle) -> np.ndarray:
+    x, y, width, height = rectangle
+    return image[y : y + height, x : x + width]
 
 
 def _bounds(capture: Capture, cameras: Sequence[Camera], frame: int, margin: float) -> np.ndarray:

@@ -81,6 +81,21 @@ def test_cameras_are_spread_evenly(raw: Path) -> None:
     assert source.splits["train"].frames == tuple(range(1, 1001)) and source.splits["novel_pose"].frames == tuple(range(1001, 1201, 30))
 
 
+def test_fits_whose_names_have_leading_zeros(raw: Path) -> None:
+    before = read_dynacap(raw, SELECTION)
+    folder = raw / "new_params"
+    for number in (1, *range(2, 1201)):
+        (folder / f"{number}.npy").rename(folder / f"{number:06d}.npy")
+    source = read_dynacap(raw, SELECTION)
+    assert source.splits == before.splits
+    assert source.fits == {frame: folder / f"{frame:06d}.npy" for frame in (1, 1001)}
+    # Without zeros goes first, and what is not there goes by the name without.
+    (folder / "1.npy").write_bytes((folder / "000001.npy").read_bytes())
+    (folder / "001001.npy").unlink()
+    (folder / "1001.npy").mkdir()
+    assert read_dynacap(raw, SELECTION).fits == {1: folder / "1.npy", 1001: folder / "1001.npy"}
+
+
 def test_converted(write_zju) -> None:
     """Fifty-one cameras, 2,100 frames: fifteen of those, 2,000 of these."""
     written = write_zju("D2", 51, range(2100))

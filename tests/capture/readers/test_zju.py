@@ -15,10 +15,12 @@ from ndf_mi.body.skinning import skin
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.check import problems
+from ndf_mi.capture.document import Imported
 from ndf_mi.capture.readers.importing import import_capture
 from ndf_mi.capture.readers.source import Selection
 from ndf_mi.capture.readers.zju import SUBJECTS, read_zju
 from ndf_mi.commands import main
+from ndf_mi.compare.protocols import ZJU
 from ndf_mi.errors import InputError
 
 cv2 = pytest.importorskip("cv2")
@@ -157,6 +159,22 @@ def test_the_command(write_zju, smpl_file, tmp_path: Path, capsys) -> None:
     assert not capture.body.skinned and capture.cameras["Camera_B1"].w == 256
 
 
+def test_differences_from_the_protocol_are_known_after_importing(write_zju, smpl_file, tmp_path: Path) -> None:
+    """Every fifth frame, at another size and without a camera: enough for the protocol's least numbers, and told in its notes."""
+    rows = sorted({*range(0, 300, 5), *range(300, 500, 30)})
+    written = write_zju("CoreView_377", 22, range(500), rows, side=24)
+    names = [f"Camera_B{i + 1}" for i in range(22)]
+    test = tuple(name for i, name in enumerate(names) if i not in (0, 6, 12, 18, 21))
+    source = read_zju(written.folder, selection=Selection(frames=5, test_cameras=test), size=None)
+    import_capture(source, tmp_path / "out", *smpl_file, scale=1.0)
+    capture = Capture.read(tmp_path / "out")
+    assert capture.imported == Imported("zju", "377", tuple(names), 5, 30, 1.0)
+    ZJU.check(capture)
+    few, view, pose, size = ZJU.notes({"edge_kernel": 3}, capture)
+    assert "60 of 300 training frames of subject 377" in few and "Images are at 1 of 1024²" in size
+    assert "novel views are not the protocol's, but without Camera_B22." in view and "novel poses" in pose
+
+
 class TestBadInput:
     @pytest.fixture
     def written(self, write_zju):
@@ -191,6 +209,15 @@ class TestBadInput:
         file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
         assert self.attempt(written.folder, smpl_file, tmp_path / "out").where.startswith(str(file))
 
+    def test_parents_that_were_made_for_it_are_removed(self, written, smpl_file, tmp_path: Path) -> None:
+        file = written.folder / "Camera_B7/000300.jpg"
+        file.write_bytes(b"no image")
+        (tmp_path / "there").mkdir()
+        source = read_zju(written.folder, None, Selection(300, 300, ("Camera_B1",), ("Camera_B7",)), size=None)
+        with pytest.raises(InputError, match=r"000300.jpg"):
+            import_capture(source, tmp_path / "there/not/yet/out", *smpl_file)
+        assert not list((tmp_path / "there").iterdir())
+
     @pytest.mark.parametrize(("key", "value", "words"), [
         ("poses", np.full((1, 72), 0.1), "for the root"),
         ("poses", np.zeros((1, 156)), "156 numbers"),
@@ -198,6 +225,7 @@ class TestBadInput:
         ("Th", np.zeros(4), "4 numbers"),
         ("Th", np.array([[300.0, -200, 1000]]), "mm on the mean from"),
         ("shapes", None, "only poses, Rh, Th"),
+        ("poses", [[0.0] * 72, [0.0]], "poses: found rows of unequal length"),
     ])  # fmt: skip
     def test_fits(self, written, smpl_file, tmp_path: Path, key: str, value, words: str) -> None:
         file = written.folder / "new_params/0.npy"
@@ -208,6 +236,8 @@ class TestBadInput:
 
     @pytest.mark.parametrize(("change", "words"), [
         (lambda a: a["cams"].pop("D"), "cams"),
+        (lambda a: a["cams"].update(K=np.float64(1)), "cams"),
+        (lambda a: a["cams"]["K"].__setitem__(0, [[1, 0, 0], [0, 1]]), "rows of unequal length"),
         (lambda a: a["cams"].update(T=[t / 1000 for t in a["cams"]["T"]]), "in metres"),
         (lambda a: a["cams"]["R"].__setitem__(0, np.eye(3) * 2), "no rotation"),
         (lambda a: a["cams"]["K"].__setitem__(0, np.zeros((3, 3))), "focal lengths"),

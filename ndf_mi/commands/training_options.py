@@ -1,0 +1,86 @@
+"""A preset and training options from a command line, with any entry changed by NAME=VALUE: for the commands that train."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from ndf_mi.errors import InputError
+from ndf_mi.field import PRESETS, Preset, preset
+from ndf_mi.learn.ablations import ABLATIONS, ablation
+from ndf_mi.learn.options import TrainingOptions
+
+#: Steps of a training that ends by the clock: more than it will take.
+UNLIMITED = 10**9
+_ARCHITECTURE = tuple(field.name for field in dataclasses.fields(Preset) if field.name != "name")
+_SCHEDULE = tuple(field.name for field in dataclasses.fields(TrainingOptions))
+
+NAMES = tuple(sorted({*_ARCHITECTURE, *_SCHEDULE}))
+"""What NAME may be."""
+
+OPTION_HELP = (
+    "Any other entry of the preset or of the training options as NAME=VALUE, e.g. band=0.12 or rays=2048 or density_layers=[128,128]; "
+    f"may be given several times. NAME is one of {', '.join(NAMES)}."
+)
+PRESET_HELP = f"one of {', '.join(PRESETS)}"
+ABLATION_NAMES = tuple(ABLATIONS)
+
+
+def configured(
+    preset_name: str,
+    entries: Sequence[str] = (),
+    *,
+    ablation_name: str = "full",
+    steps: int | None = None,
+    seconds: float | None = None,
+    seed: int | None = None,
+) -> tuple[Preset, TrainingOptions]:
+    """The preset of that name and the options that go with it, first ablated, then changed.
+
+    Args:
+        preset_name: of `ndf_mi.field.PRESETS`.
+        entries: NAME=VALUE, VALUE in JSON but for text; later ones win, and all win over the arguments below.
+        ablation_name: of `ndf_mi.learn.ablations.ABLATIONS`.
+        steps, seconds, seed: entries with options of their own; None leaves the preset's. With seconds alone, steps are without limit.
+
+    Raises:
+        InputError: no such preset, ablation or entry, or a value of another kind or outside its range.
+    """
+    if seconds is not None and not seconds > 0:
+        raise InputError("--seconds", f"{seconds:g}", "a time above 0")
+    training = TrainingOptions.paper() if preset_name == "paper" else TrainingOptions()
+    base, training = ablation(ablation_name).apply(preset(preset_name), training)
+    given = {"steps": UNLIMITED if steps is None and seconds is not None else steps, "seconds": seconds, "seed": seed}
+    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    for text in entries:
+        name, equals, value = text.partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals or name not in NAMES:
+            raise InputError("--option", repr(text), "NAME=VALUE, NAME one of " + ", ".join(NAMES))
+        changes[name] = _value(text, value, getattr(base if name in _ARCHITECTURE else training, name))
+    return (dataclasses.replace(base, **{name: value for name, value in changes.items() if name in _ARCHITECTURE}),
+            dataclasses.replace(training, **{name: value for name, value in changes.items() if name in _SCHEDULE}))
+
+
+def _value(text: str, value: str, current: Any) -> Any:
+    """Reads VALUE as the type that the option has now."""
+    if isinstance(current, str):
+        return value
+    try:
+        found = json.loads(value)
+    except (ValueError, RecursionError):
+        found = None
+    if isinstance(current, tuple) and isinstance(found, list) and all(type(v) is int for v in found):
+        return tuple(found)
+    if isinstance(current, float) and isinstance(found, (int, float)) and not isinstance(found, bool):
+        return float(found)
+    if isinstance(current, bool):
+        if isinstance(found, bool):
+            return found
+        raise InputError("--option", repr(text), "true or false")
+    if isinstance(current, int) and type(found) is int:
+        return found
+    kind = "a list of whole numbers, as [64,64]" if isinstance(current, tuple) else f"a number such as {current}"
+    raise InputError("--option", repr(text), kind)

@@ -1,0 +1,59 @@
+"""JSON that people or other programs wrote: whatever is wrong with it is told by file and key."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any, TypeGuard
+
+from ndf_mi.errors import InputError
+
+
+def load_json(path: Path) -> Any:
+    """The value in a file.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it cannot be read, is no JSON, or is nested too deep for Python's reader.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise ValueError(error.strerror or str(error)) from None
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+
+
+def is_finite(value: Any) -> TypeGuard[int | float]:
+    """Whether a JSON value is a number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
+
+
+def number(value: Any, where: str, low: float = -math.inf) -> float:
+    """A JSON value as a finite float.
+
+    Raises:
+        InputError: it is no number, not finite, or below `low`; `where` is in front.
+    """
+    if is_finite(value) and value >= low:
+        return float(value)
+    raise InputError(where, shown(value), "a finite number" + (f" of at least {low:g}" if low > -math.inf else ""))
+
+
+def shown(value: Any) -> str:
+    """A value as a message shows it: short, and ``nothing`` for a key that isn't there."""
+    if value is None:
+        return "nothing"
+    try:
+        text = json.dumps(value, default=str)
+    except RecursionError:
+        text = f"a deeply nested {type(value).__name__}"
+    return text if len(text) <= 60 else text[:57] + "..."
