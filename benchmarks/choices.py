@@ -1,0 +1,111 @@
+"""What a choice of the preset's or of the training's options is worth on held-out images, and where the error is.
+
+    python benchmarks/choices.py captures/studio --steps 1500 --choice samples=128 --choice "decay=0.02 learning_rate=0.008"
+
+Trains a field for each `--choice`, NAME=VALUE as of `ndf-mi optimise --option`, one or more, after one with none of them; all with one seed. Each is
+rendered in the same held-out images. Box PSNR and SSIM are means over the images; the mean squared error, in 1e-4, is told apart into that
+of the silhouette's edge (pixels whose 3 × 3 neighbours hold both performer and background), within it, and outside it: the three add up.
+Seconds a step are the median of the last 300 and depend on the machine; the rest does not.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from scipy import ndimage
+
+from ndf_mi import variants
+
+variants.use()
+
+import drjit as dr  # noqa: E402
+
+from ndf_mi.capture.capture import Capture  # noqa: E402
+from ndf_mi.commands.training_options import configured  # noqa: E402
+from ndf_mi.compare import metrics  # noqa: E402
+from ndf_mi.compare.evaluate import LABELS, choose_views  # noqa: E402
+from ndf_mi.compare.methods.ndf import NeuralField  # noqa: E402
+from ndf_mi.compare.results import View  # noqa: E402
+from ndf_mi.learn.loop import start  # noqa: E402
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is trained and measured."""
+
+    capture: Annotated[Path, tyro.conf.Positional]
+    """The capture's folder."""
+
+    choice: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Options of a training, NAME=VALUE with spaces between; may be given several times."""
+
+    preset: str = "fast"
+    """Architecture."""
+
+    steps: int = 1500
+    """Steps of each training."""
+
+    seed: int = 0
+    """Of the trainings, and of the choice of images."""
+
+    images: int = 12
+    """Images of each held-out split."""
+
+    samples: int = 128
+    """Candidate samples a ray when rendered."""
+
+
+def main(options: Options) -> None:
+    """Trains, measures and prints a table."""
+    capture = Capture.read(options.capture)
+    views = choose_views(capture, options.images, options.seed)
+    splits = list(dict.fromkeys(view.split for view in views))
+    heads = [f"{LABELS[split]}: {name}" for split in splits for name in ("PSNR", "SSIM", "edge", "within", "outside")]
+    print("| | s a step | samples | " + " | ".join(heads) + " |\n| --- |" + " --- |" * (len(heads) + 2), flush=True)
+    for choice in ("", *options.choice):
+        entries = tuple(choice.split())
+        seconds, evaluated, method = trained(capture, options, entries)
+        rows = np.array([measure(capture, view, method) for view in views])
+        cells = []
+        for split in splits:
+            psnr, ssim, *errors = rows[[view.split == split for view in views]].mean(0)
+            cells += [f"{psnr:.2f}", f"{ssim:.3f}", *(f"{1e4 * error:.2f}" for error in errors)]
+        print(f"| {choice or 'as it is'} | {seconds:.3f} | {evaluated:,} | " + " | ".join(cells) + " |", flush=True)
+
+
+def trained(capture: Capture, options: Options, entries: tuple[str, ...]) -> tuple[float, int, NeuralField]:
+    """Trains; the median seconds of the last steps, how many samples the last one evaluated, and the field."""
+    preset, training = configured(options.preset, entries, steps=options.steps, seed=options.seed)
+    with tempfile.TemporaryDirectory() as folder:
+        trainer = start(Path(folder) / "run", capture, preset, training)
+        seconds = []
+        while trainer.done < 1:
+            begun = time.perf_counter()
+            trainer.step()
+            dr.sync_thread()
+            seconds.append(time.perf_counter() - begun)
+        trainer.publish()
+    return float(np.median(seconds[-300:])), trainer.progress.evaluated, NeuralField(trainer.run, options.samples)
+
+
+def measure(capture: Capture, view: View, method: NeuralField) -> tuple[float, ...]:
+    """Box PSNR and SSIM of an image, and the shares of edge, inside and outside in its mean squared error."""
+    camera, truth = capture.cameras[view.camera], capture.image(view.camera, view.frame)
+    image, mask = method.render(camera, view.frame), capture.mask(view.camera, view.frame)
+    box = metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)])
+    figures = metrics.measure(truth, image, box)
+    around = np.ones((3, 3), bool)
+    edge = ndimage.binary_dilation(mask, around) & ~ndimage.binary_erosion(mask, around)
+    error = np.square(image - truth).mean(-1) / box.sum()
+    return (figures["box_psnr"], figures["box_ssim"],
+            *(float(error[box & part].sum()) for part in (edge, mask & ~edge, ~mask & ~edge)))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
