@@ -2,10 +2,10 @@
 
     python benchmarks/choices.py captures/studio --steps 1500 --choice samples=128 --choice "decay=0.02 learning_rate=0.008"
 
-Trains a field for each `--choice`, NAME=VALUE as of `ndf-mi optimise --option`, one or more, after one with none of them; all with one seed. Each is
-rendered in the same held-out images. Box PSNR and SSIM are means over the images; the mean squared error, in 1e-4, is told apart into that
-of the silhouette's edge (pixels whose 3 × 3 neighbours hold both performer and background), within it, and outside it: the three add up.
-Seconds a step are the median of the last 300 and depend on the machine; the rest does not.
+Trains a field for each `--choice`, NAME=VALUE as of `ndf-mi optimise --option`, one or more, after one with none of them; all with
+one seed. Each is rendered in the same held-out images. Box PSNR and SSIM are means over the images; the mean squared error, in 1e-4, is
+told apart into that of the silhouette's edge (pixels whose 3 × 3 neighbours hold both performer and background), within it, and outside
+it: the three add up. Seconds a step are the median of the last 300 and depend on the machine; the rest does not.
 """
 
 from __future__ import annotations
