@@ -144,11 +144,39 @@ def test_density_stays_below_the_majorant_however_large_the_weights():
         assert sigma.numpy().min() >= 0
 
 
-def test_pose_changes_the_field():
-    field = Field(preset("fast"), JOINTS, seed=1)
+def with_pose_only_in(field, network):
+    """Leaves the pose's columns in those layers alone whose names begin so, and makes what they do large enough to be seen."""
+    weights = field.weights.numpy()
+    for name, layer in field.layers.items():
+        if layer.pose and not name.startswith(network):
+            columns = layer.inputs + layer.pose
+            weights[layer.offset : layer.offset + layer.outputs * columns].reshape(layer.outputs, columns)[:, layer.inputs :] = 0
+    # The first row of the last layer, which is the density's; and the deformation's last layer, which starts at a hundredth.
+    density, deformation = field.layers["density_out"], field.layers["deform_out"]
+    weights[density.offset : density.offset + density.inputs] *= 20
+    weights[deformation.offset : deformation.offset + deformation.size] *= 100
+    field.weights = mi.Float(weights)
+    if field.grid is not None:
+        field.grid = field.grid * 1e4
+
+
+@pytest.mark.parametrize("mode", ["batched", "fused"])
+@pytest.mark.parametrize(("network", "density", "colour"), [
+    ("density", True, True),  # the colour network is fed by the density's
+    ("deform", True, True),
+    (("linear", "colour"), False, True),
+    ((), False, False),
+])  # fmt: skip
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_the_pose_reaches_density_deformation_and_colour(name, network, density, colour, mode):
+    """Of every network on its own: with its columns of the pose alone, density and colour change with the pose where they should."""
+    field = Field(preset(name), JOINTS, seed=1)
+    with_pose_only_in(field, network)
     u, d, pose = inputs()
-    a, b = (evaluate(field, u, d, p, "batched")[1].numpy() for p in (pose, pose + 0.5))
-    assert np.abs(a - b).max() > 1e-3
+    before, after = (evaluate(field, u, d, p, mode) for p in (pose, pose + 0.5))
+    for changes, a, b in zip((density, colour), before, after, strict=True):
+        difference = np.abs(a.numpy() - b.numpy()).max() / np.abs(a.numpy()).max()
+        assert difference > 1e-4 if changes else difference == 0, (name, network, difference)
 
 
 def test_presets_go_through_dictionaries():
