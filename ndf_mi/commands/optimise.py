@@ -29,8 +29,12 @@ class Optimise:
     ablation: str = "full"
     """Take a part of the method away: naked, no-pose, no-projection, no-deform, one-piece, unsigned or surface-point."""
 
+    integrator: str = "ndf_quadrature"
+    """ndf_quadrature learns what is seen, with the light in it; prbvolpath learns density and albedo through scattering, under the
+    capture's known lighting, after `warm_up` steps by quadrature (see --option)."""
+
     steps: int | None = None
-    """Steps in all."""
+    """Steps in all; with prbvolpath, `warm_up` and 1,000 more by default."""
 
     seconds: float | None = None
     """Time to train for; the learning rates' decay follows the clock."""
@@ -49,12 +53,12 @@ class Optimise:
         """Trains; prints where the run is and how well it fits its training rays."""
         from ndf_mi.capture.capture import Capture
         from ndf_mi.learn.loop import resume, start, train
+        from ndf_mi.learn.scattering import QUADRATURE
 
         capture = Capture.read(self.capture)
         if self.resume:
             given = [name for name in ("steps", "seconds", "seed") if getattr(self, name) is not None]
-            if self.ablation != "full":
-                given.append("ablation")
+            given += [name for name, default in (("ablation", "full"), ("integrator", QUADRATURE)) if getattr(self, name) != default]
             if given or self.option:
                 raise InputError("--resume", f"another option beside it (--{(given or ['option'])[0]})",
                                  "none: a resumed run keeps the options it was started with")
@@ -75,11 +79,18 @@ class Optimise:
         from ndf_mi.field import preset
         from ndf_mi.learn.ablations import ablation
         from ndf_mi.learn.options import TrainingOptions
+        from ndf_mi.learn.scattering import QUADRATURE, SCATTERING_STEPS, check_integrator, relightable
 
+        check_integrator(self.integrator)
         if self.seconds is not None and not self.seconds > 0:
             raise InputError("--seconds", f"{self.seconds:g}", "a time above 0")
         training = TrainingOptions.paper() if self.preset == "paper" else TrainingOptions()
         base, training = ablation(self.ablation).apply(preset(self.preset), training)
+        if self.integrator != QUADRATURE:
+            base, changed = relightable(base)
+            training = dataclasses.replace(training, integrator=self.integrator, steps=training.warm_up + SCATTERING_STEPS)
+            if changed:
+                print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours hold no light, paths stay short")
         architecture = {f.name for f in dataclasses.fields(base)} - {"name"}
         schedule = {f.name for f in dataclasses.fields(training)}
         changes: dict[str, Any] = {k: getattr(self, k) for k in ("steps", "seconds", "seed") if getattr(self, k) is not None}
