@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-MODULES: tuple[str, ...] = ("ndf", "ndf_path", "ndf_quadrature", "ndf_shell")
+MODULES: tuple[str, ...] = ("ndf", "ndf_lattice", "ndf_path", "ndf_quadrature", "ndf_shell")
 """The modules here that hold a plugin; each module's ``register()`` registers it with the active variant."""
 
 

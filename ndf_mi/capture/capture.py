@@ -28,6 +28,7 @@ class Capture:
         splits: ``train``, ``novel_view``, ``novel_pose`` and ``sequence``; one that the file lacks is empty.
         imported: what it was imported from; None where the file does not say.
         body, poses: the fitted body.
+        lighting: the Mitsuba scene of the light, a file, where it is known; else None.
         digest: SHA-256 of the description, the body and the poses, and of the names and sizes of the images and masks.
     """
 
@@ -38,6 +39,7 @@ class Capture:
         self.cameras: dict[str, Camera] = {name: camera.pinhole() for name, camera in document.cameras.items()}
         self.splits: dict[str, Split] = document.splits
         self.imported: Imported | None = document.imported
+        self.lighting: Path | None = None if document.lighting is None else path / document.lighting
         self.body = body
         self.poses = poses
         self.digest = digest
@@ -82,6 +84,17 @@ class Capture:
         file = self.path / self._document.mask_pattern.format(camera=camera, frame=self._frame(camera, frame))
         mask = read_mask(file, (raw.w, raw.h))
         return mask if raw.is_pinhole else undistort_mask(mask, raw)
+
+    def known_lighting(self) -> Path:
+        """`lighting`, for what cannot do without.
+
+        Raises:
+            InputError: the capture says nothing of its light.
+        """
+        if self.lighting is None:
+            raise InputError(f"{self.path / FILE_NAME}: lighting", "nothing",
+                             'the Mitsuba scene of the light the performer was under, {"scene": "FILE.xml"}, FILE in the capture\'s folder')
+        return self.lighting
 
     def _camera(self, name: str) -> Camera:
         camera = self._document.cameras.get(name)

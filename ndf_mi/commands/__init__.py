@@ -39,6 +39,7 @@ ENTRIES = (
     Entry("capture import", "capture_import", "CaptureImport", "make a capture of one of ZJU-MoCap or DynaCap"),
     Entry("optimise", "optimise", "Optimise", "train a neural deformable field on a capture"),
     Entry("compare", "compare", "Compare", "compare a trained field with a textured mesh; write report.html"),
+    Entry("relight", "relight", "Relight", "show a run in another light, beside a diffuse textured mesh"),
     Entry("ablate", "ablate", "Ablate", "train every ablation on a capture; write their table and report.html"),
     Entry("render", "render", "Render", "render a scene or a trained run to an image"),
     Entry("animate", "animate", "Animate", "render a trained run in any motion, as a video"),

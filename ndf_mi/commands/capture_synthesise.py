@@ -15,8 +15,11 @@ class CaptureSynthesise:
 
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """The folder to make: new, empty, or one in which this command was stopped."""
-    size: Literal["tiny", "quick", "studio"] = "quick"
-    """tiny (48 pixels, for tests), quick (128 pixels, about a minute on two cores) or studio (256 pixels, 21 cameras)."""
+    size: Literal["tiny", "lit", "quick", "studio"] = "quick"
+    """tiny (48 pixels, for tests), lit (96 pixels, 3 frames, for relighting), quick (128 pixels, about a minute on two cores) or studio
+    (256 pixels, 21 cameras)."""
+    light: Literal["studio", "evening"] = "studio"
+    """What the performer is lit by; captures with different lights and otherwise the same options differ in it alone."""
     seed: int = 0
     """Seed of the cameras' placement and of the renderer; the same seed makes the same capture."""
     name: str = "performer"
@@ -69,7 +72,7 @@ class CaptureSynthesise:
             bar.update(task, completed=done, total=total)
 
         try:
-            synthesise(self.out, settings, self.name, self.overwrite, show)
+            synthesise(self.out, settings, self.name, self.overwrite, show, self.light)
         finally:
             bar.stop()
         print(f"{self.out}: {settings.pixels} pixels, {settings.cameras} cameras")

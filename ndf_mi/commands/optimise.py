@@ -26,8 +26,12 @@ class Optimise:
 
     ablation: Annotated[str, tyro.conf.arg(help=f"Take a part of the method away: one of {', '.join(ABLATION_NAMES)}.")] = "full"
 
+    integrator: str = "ndf_quadrature"
+    """ndf_quadrature learns what is seen, with the light in it; prbvolpath learns density and albedo through scattering, under the
+    capture's known lighting, after `warm_up` steps by quadrature (see --option)."""
+
     steps: int | None = None
-    """Steps in all."""
+    """Steps in all; with prbvolpath, `warm_up` and 1,000 more by default."""
 
     seconds: float | None = None
     """Time to train for; the learning rates' decay follows the clock."""
@@ -43,20 +47,25 @@ class Optimise:
     def run(self) -> int:
         """Trains; prints where the run is and how well it fits its training rays."""
         from ndf_mi.capture.capture import Capture
+        from ndf_mi.field import preset as preset_of
         from ndf_mi.learn.loop import resume, start, train
+        from ndf_mi.learn.scattering import QUADRATURE, relightable
 
         capture = Capture.read(self.capture)
         if self.resume:
             given = [name for name in ("steps", "seconds", "seed") if getattr(self, name) is not None]
-            if self.ablation != "full":
-                given.append("ablation")
+            given += [name for name, default in (("ablation", "full"), ("integrator", QUADRATURE)) if getattr(self, name) != default]
             if given or self.option:
                 raise InputError("--resume", f"another option beside it (--{(given or ['option'])[0]})",
                                  "none: a resumed run keeps the options it was started with")
             trainer = resume(self.out, capture)
         else:
             preset, training = configured(
-                self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds, seed=self.seed)  # fmt: skip
+                self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds, seed=self.seed,
+                integrator=self.integrator)
+            changed = [] if self.integrator == QUADRATURE else relightable(preset_of(self.preset))[1]
+            if changed:
+                print(f"{self.integrator}: preset {self.preset} with {', '.join(changed)}, so that colours hold no light, paths stay short")
             trainer = start(self.out, capture, preset, training)
         try:
             train(trainer)

@@ -11,6 +11,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import PRESETS, Preset, preset
 from ndf_mi.learn.ablations import ABLATIONS, ablation
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.scattering import QUADRATURE, SCATTERING_STEPS, check_integrator, relightable
 
 #: Steps of a training that ends by the clock: more than it will take.
 UNLIMITED = 10**9
@@ -36,6 +37,7 @@ def configured(
     steps: int | None = None,
     seconds: float | None = None,
     seed: int | None = None,
+    integrator: str = QUADRATURE,
 ) -> tuple[Preset, TrainingOptions]:
     """The preset of that name and the options that go with it, first ablated, then changed.
 
@@ -43,15 +45,21 @@ def configured(
         preset_name: of `ndf_mi.field.PRESETS`.
         entries: NAME=VALUE, VALUE in JSON but for text; later ones win, and all win over the arguments below.
         ablation_name: of `ndf_mi.learn.ablations.ABLATIONS`.
+        integrator: what pixels are computed by; one of those that scatter brings a preset whose colours hold no light, and its own number
+            of steps.
         steps, seconds, seed: entries with options of their own; None leaves the preset's. With seconds alone, steps are without limit.
 
     Raises:
-        InputError: no such preset, ablation or entry, or a value of another kind or outside its range.
+        InputError: no such preset, ablation, integrator or entry, or a value of another kind or outside its range.
     """
+    check_integrator(integrator)
     if seconds is not None and not seconds > 0:
         raise InputError("--seconds", f"{seconds:g}", "a time above 0")
     training = TrainingOptions.paper() if preset_name == "paper" else TrainingOptions()
     base, training = ablation(ablation_name).apply(preset(preset_name), training)
+    if integrator != QUADRATURE:
+        base = relightable(base)[0]
+        training = dataclasses.replace(training, integrator=integrator, steps=training.warm_up + SCATTERING_STEPS)
     given = {"steps": UNLIMITED if steps is None and seconds is not None else steps, "seconds": seconds, "seed": seed}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     for text in entries:

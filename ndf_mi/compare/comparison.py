@@ -19,6 +19,7 @@ from ndf_mi.compare.report import write_report
 from ndf_mi.compare.results import MethodResult, Results
 from ndf_mi.errors import InputError
 from ndf_mi.learn.loop import expect_capture
+from ndf_mi.learn.scattering import SCATTERING
 from ndf_mi.run import Run
 
 RESULTS = "compare.json"
@@ -122,6 +123,10 @@ class Comparison:
         self._run = Run.load(run)
         self._capture = Capture.read(capture)
         expect_capture(self._run, self._capture)
+        integrator = (self._run.config.get("training") or {}).get("integrator")
+        if integrator in SCATTERING:
+            raise InputError(f"{self._run.path / 'config.json'}: training.integrator", repr(integrator), "a run trained by ndf_quadrature",
+                             "Its colours are an albedo, and do not shine: show it by `ndf-mi relight`.")
         self._field = NeuralField(self._run, settings.samples)
         self._budget = self._mesh_seconds()
         self._rates: dict[str, float] = {}

@@ -24,6 +24,7 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.field import Preset
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.scattering import QUADRATURE, ScatteringTrainer, check_integrator
 from ndf_mi.learn.trainer import STATE, Trainer
 from ndf_mi.run import Run
 
@@ -34,8 +35,9 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
     """A new run in a folder that does not exist yet or is empty.
 
     Raises:
-        InputError: the folder holds something.
+        InputError: the folder holds something; there is no such integrator, or it finds no light in the capture. Nothing is written then.
     """
+    check_integrator(options.integrator)
     folder = Path(path)
     # A run that was stopped while it was first written has no config.json yet.
     unfinished = {"body.npz", "poses.npz", "field.safetensors"}
@@ -56,9 +58,13 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
         made_by={"ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__, "python": platform.python_version(),
                  "variant": mi.variant()},
     )
-    trainer = Trainer(run, capture, options)
+    trainer = _trainer(run, capture, options)
     run.save()
     return trainer
+
+
+def _trainer(run: Run, capture: Capture, options: TrainingOptions) -> Trainer:
+    return (Trainer if options.integrator == QUADRATURE else ScatteringTrainer)(run, capture, options)
 
 
 def _temporary(file: Path) -> bool:
@@ -79,7 +85,8 @@ def resume(path: str | os.PathLike[str], capture: Capture) -> Trainer:
     if not isinstance(training, dict):
         raise InputError(f"{config}: training", repr(training), "the options it was started with")
     options = TrainingOptions.from_dict(training, f"{config}: training")
-    trainer = Trainer(run, capture, options)
+    check_integrator(options.integrator)
+    trainer = _trainer(run, capture, options)
     if (run.path / STATE).exists():
         trainer.restore()
     elif (run.path / "metrics.jsonl").exists():

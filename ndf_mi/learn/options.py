@@ -84,18 +84,38 @@ class TrainingOptions:
     checkpoint_seconds: float = 60.0
     """Time between checkpoints."""
 
+    integrator: str = "ndf_quadrature"
+    """What pixels are computed by: `ndf_quadrature` (emission and absorption) or `prbvolpath` (scattering, under the capture's light)."""
+
+    warm_up: int = 1500
+    """Steps by quadrature before those through scattering, which then start from its density; not with `ndf_quadrature`."""
+
+    paths: int = 16
+    """Paths a ray, at least 2; not with `ndf_quadrature`."""
+
+    max_depth: int = 12
+    """Longest path, as Mitsuba counts: 2 is single scattering; not with `ndf_quadrature`."""
+
+    cell: float = 0.0125
+    """Spacing in metres of the lattice that a field is put onto where paths scatter in it; not with `ndf_quadrature`."""
+
     def __post_init__(self) -> None:
-        for key in ("steps", "rays", "samples", "learning_rate", "grid_rate", "decay", "clip", "checkpoint_seconds"):
+        for key in ("steps", "rays", "samples", "learning_rate", "grid_rate", "decay", "clip", "checkpoint_seconds", "cell"):
             if not 0 < getattr(self, key) < float("inf"):
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number above 0")
         for key in ("seconds", "pose_noise", "edge_kernel", "opacity_edge", "box_padding", "decay_steps", "opacity_weight", "edge_weight",
-                    "edge_below", "seed", "skip_hidden"):
+                    "edge_below", "seed", "skip_hidden", "warm_up"):
             if not 0 <= getattr(self, key) < float("inf"):
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "a number from 0 on")
         if self.atlas not in ("body", "one-piece"):
             raise InputError("option atlas", repr(self.atlas), "body or one-piece")
         if not self.skip_hidden < 1:
             raise InputError("option skip-hidden", repr(self.skip_hidden), "a transmittance in [0, 1)")
+        for key in ("paths", "max_depth"):
+            if getattr(self, key) < 2:
+                raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "at least 2")
+        if self.integrator != "ndf_quadrature" and self.warm_up >= self.steps:
+            raise InputError("option warm-up", repr(self.warm_up), f"fewer than the {self.steps} steps in all")
         if not 0 <= self.mask_share <= 1:
             raise InputError("option mask-share", repr(self.mask_share), "a number in [0, 1]")
 

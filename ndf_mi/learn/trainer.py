@@ -1,4 +1,4 @@
-"""One training step after another: rays, quadrature, loss, Adam; and the state to go on from."""
+"""One training step after another: rays, gradients, Adam; and the state to go on from."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.learn.guard import Guard
 from ndf_mi.learn.loss import ImageLoss
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.rays import RaySampler
+from ndf_mi.learn.rays import RayBatch, RaySampler
 from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
 from ndf_mi.model import PosedModel
-from ndf_mi.render.quadrature import quadrature
+from ndf_mi.render.quadrature import Radiance, quadrature
 from ndf_mi.run import Run
 
 STATE = "state.safetensors"
@@ -44,8 +44,18 @@ class Progress:
         return -10 * math.log10(max(self.error, 1e-12))
 
 
+@dataclass(frozen=True)
+class Step:
+    """What a step has found out: `loss`, one number that is not finite where the step cannot be taken; `error`, the mean squared error in
+    sRGB of the rays drawn, one number, detached; `seen`, what the quadrature saw along them."""
+
+    loss: mi.Float
+    error: mi.Float
+    seen: Radiance
+
+
 class Trainer:
-    """Trains the field of `run` on the training split of `capture`.
+    """Trains the field of `run` on the training split of `capture`: by quadrature, unless a subclass replaces :meth:`_gradients`.
 
     Weights live in the optimisers while training goes on; :meth:`publish` puts them into the run.
     """
@@ -58,19 +68,23 @@ class Trainer:
         preset = run.model.field.preset
         self._candidates = options.rays * options.samples * preset.strata
         self._loss = ImageLoss(options, mi.Color3f(*[float(v) for v in run.background]), preset.band, preset.density_gain)
-        field = run.model.field
+        self._make_optimisers()
+        # Two percent of opacity over a centimetre; what is never seen stays as thin as training starts, just below it.
+        self._occupancy = Occupancy(threshold=2.0) if options.skip_empty else None
+        self._step = 0
+        self._seconds = 0.0
+        self._error = float("nan")
+        self._evaluated = 0
+
+    def _make_optimisers(self) -> None:
+        """Fresh optimisers, without moments, of the weights that the run has, and a guard over them."""
+        options, field = self.options, self.run.model.field
         self._networks = mi.ad.Adam(lr=options.learning_rate, params={"weights": field.weights})
         # Most entries of the table see no sample in a step: those keep their value and moments, as in the grid's paper.
         self._table = None
         if field.grid is not None:
             self._table = mi.ad.Adam(lr=options.grid_rate, params={"grid": field.grid}, mask_updates=True, epsilon=1e-15)
-        # Two percent of opacity over a centimetre; what is never seen stays as thin as training starts, just below it.
-        self._occupancy = Occupancy(threshold=2.0) if options.skip_empty else None
         self._guard = Guard([self._networks] if self._table is None else [self._networks, self._table])
-        self._step = 0
-        self._seconds = 0.0
-        self._error = float("nan")
-        self._evaluated = 0
 
     @property
     def progress(self) -> Progress:
@@ -93,18 +107,8 @@ class Trainer:
         started = time.perf_counter()
         self._set_rates()
         batch = self._rays(self._rng)
-        jitter = mi.Float(self._rng.random(self._candidates, dtype=np.float32))
-
-        field = self.run.model.field
-        field.weights = self._networks["weights"]
-        if self._table is not None:
-            field.grid = self._table["grid"]
-        posed = PosedModel(self.run.model, self.run.surface(batch.frame), self._pose(batch.frame), self._occupancy)
-        ray = mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction))
-        seen = quadrature(posed, ray, self.options.samples, jitter=jitter, hidden=self.options.skip_hidden)
-        loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask), mi.Float(batch.sure))
-        dr.backward(loss.total)
-        if not self._guard.sound(loss.total):
+        found = self._gradients(batch)
+        if not self._guard.sound(found.loss):
             self._guard.refuse(self._step + 1)
             self._seconds += time.perf_counter() - started
             return
@@ -116,14 +120,34 @@ class Trainer:
         if self._table is not None:
             self._table.step()
         if self._occupancy is not None:
-            u = seen.samples.u
-            self._occupancy.observe(posed.unit(mi.Point2f(u.x, u.y), u.z), seen.samples.sigma, seen.inside)
-        error = float(loss.image[0])
+            samples = found.seen.samples
+            at = self._posed.unit(mi.Point2f(samples.u.x, samples.u.y), samples.u.z)
+            self._occupancy.observe(at, samples.sigma, found.seen.inside)
+        error = float(found.error[0])
         self._error = error if math.isnan(self._error) else _SMOOTHING * self._error + (1 - _SMOOTHING) * error
         self._loss.observe(self._error)
-        self._evaluated = seen.evaluated
+        self._evaluated = found.seen.evaluated
         self._step += 1
         self._seconds += time.perf_counter() - started
+
+    def _gradients(self, batch: RayBatch) -> Step:
+        """The loss along a batch of rays; its gradients go to the optimisers' parameters."""
+        seen = self._see(batch)
+        loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask), mi.Float(batch.sure))
+        dr.backward(loss.total)
+        return Step(loss.total, loss.image, seen)
+
+    def _see(self, batch: RayBatch) -> Radiance:
+        """The field as it is now along a batch of rays, by quadrature, attached to the optimisers' parameters."""
+        jitter = mi.Float(self._rng.random(self._candidates, dtype=np.float32))
+        field = self.run.model.field
+        field.weights = self._networks["weights"]
+        if self._table is not None:
+            field.grid = self._table["grid"]
+        self._pose = self._noisy_pose(batch.frame)
+        self._posed = PosedModel(self.run.model, self.run.surface(batch.frame), self._pose, self._occupancy)
+        ray = mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction))
+        return quadrature(self._posed, ray, self.options.samples, jitter=jitter, hidden=self.options.skip_hidden)
 
     def publish(self) -> None:
         """Puts the current weights, detached, into the run's field."""
@@ -182,16 +206,20 @@ class Trainer:
             self._loss.observe(self._error)
         self.publish()
 
-    def _pose(self, frame: int) -> mi.Float:
+    def _noisy_pose(self, frame: int) -> mi.Float:
         """The frame's pose vector as the networks see it in training: with noise on all joints but the root."""
         pose = self.run.poses.pose[self.run.poses.index(frame)].astype(np.float32)
         if self.options.pose_noise > 0:
             pose[1:] += self._rng.normal(0.0, self.options.pose_noise, pose[1:].shape).astype(np.float32)
         return mi.Float(pose.ravel())
 
+    def _spent(self) -> float:
+        """How much of the rates' decay is over, 1 when `decay` is reached."""
+        return self._step / self.options.decay_steps if self.options.decay_steps else self.done
+
     def _set_rates(self) -> None:
         options = self.options
-        spent = self._step / options.decay_steps if options.decay_steps else self.done
+        spent = self._spent()
         factor = options.decay**spent * self._guard.factor
         self._networks.set_learning_rate(options.learning_rate * factor)
         if self._table is not None:

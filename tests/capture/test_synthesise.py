@@ -137,6 +137,25 @@ def test_overwrite_replaces_a_capture_and_leaves_nothing_of_it(tiny: Path, tmp_p
     assert json.loads((other / "synthesis.json").read_text())["seed"] == 3
 
 
+def test_another_light_changes_the_images_and_nothing_else(tiny: Path, tmp_path: Path) -> None:
+    other = synthesise(tmp_path / "evening", TINY, light="evening")
+    assert problems(other) == []
+    for file in ("poses.npz", "body.npz", "capture.json"):
+        assert (other / file).read_bytes() == (tiny / file).read_bytes()
+    names = [file.relative_to(tiny) for file in (tiny / "masks").rglob("*.png")]
+    assert names and all((other / name).read_bytes() == (tiny / name).read_bytes() for name in names)
+    here, there = (Capture.read(path).image("cam00", 0) for path in (tiny, other))
+    mask = Capture.read(tiny).mask("cam00", 0)
+    assert np.abs(here - there)[binary_erosion(mask)].mean() > 0.1
+    # Captures from before there was a choice are known again.
+    assert "light" not in json.loads((tiny / "synthesis.json").read_text())
+    with pytest.raises(InputError, match="other settings"):
+        synthesise(other, TINY)
+    with pytest.raises(InputError, match="--light.*noon.*evening"):
+        synthesise(tmp_path / "noon", TINY, light="noon")
+    assert not (tmp_path / "noon").exists()
+
+
 @pytest.mark.parametrize("change", [{"pixels": 4}, {"cameras": 0}, {"view_frames": 99}, {"frames": 0}, {"spp": 0}])
 def test_impossible_settings_name_the_option(change: dict[str, int]) -> None:
     with pytest.raises(InputError, match=f"--{next(iter(change)).replace('_', '-')}|--train-cameras"):

@@ -1,53 +1,101 @@
-"""The studio's light and the materials that it falls on: a soft sky with a broad key light and a dimmer one behind."""
+"""The lights of synthetic captures, each a soft sky with broad lamps, and the materials that they fall on."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.errors import InputError
 from ndf_mi.files import replacing, write_text
 
 ENVIRONMENT = "lighting.exr"
 SCENE = "lighting.xml"
 _HEIGHT, _WIDTH = 64, 128
 
-#: Direction towards the light, angular width (radians), linear radiance at its middle.
-_LOBES = (
-    ((0.55, 0.70, 0.60), 0.30, (9.5, 8.8, 7.8)),
-    ((-0.75, 0.45, 0.35), 0.50, (1.0, 1.1, 1.35)),
-    ((-0.30, 0.40, -0.85), 0.40, (1.9, 1.9, 2.1)),
-)
+Colour = tuple[float, float, float]
 
 
-def environment() -> np.ndarray:
-    """(64, 128, 3) float32 linear radiance, in the layout of Mitsuba's ``envmap``, y up."""
+@dataclass(frozen=True)
+class Light:
+    """An environment, as linear radiance.
+
+    Attributes:
+        sky: at the horizon.
+        zenith: added to it towards the zenith.
+        ground: below the horizon.
+        lamps: for each, the direction towards it, its angular width in radians and the radiance at its middle.
+    """
+
+    sky: Colour
+    zenith: Colour
+    ground: Colour
+    lamps: tuple[tuple[Colour, float, Colour], ...]
+
+
+DEFAULT = "studio"
+
+#: By name. `evening` has its key light low on the other side and orange, under a sky of a quarter of the brightness.
+LIGHTS = {
+    DEFAULT: Light(
+        (0.58, 0.62, 0.68), (0.05, 0.10, 0.20), (0.36, 0.33, 0.29),
+        (
+            ((0.55, 0.70, 0.60), 0.30, (9.5, 8.8, 7.8)),
+            ((-0.75, 0.45, 0.35), 0.50, (1.0, 1.1, 1.35)),
+            ((-0.30, 0.40, -0.85), 0.40, (1.9, 1.9, 2.1)),
+        ),
+    ),
+    "evening": Light(
+        (0.13, 0.16, 0.24), (0.02, 0.05, 0.12), (0.07, 0.06, 0.06),
+        (
+            ((-0.85, 0.30, -0.10), 0.30, (13.0, 7.5, 3.6)),
+            ((0.60, 0.25, -0.75), 0.45, (0.5, 0.8, 1.6)),
+        ),
+    ),
+}  # fmt: skip
+
+
+def light(name: str) -> Light:
+    """The light of that name.
+
+    Raises:
+        InputError: there is none; those that there are are named.
+    """
+    if name not in LIGHTS:
+        raise InputError("--light", repr(name), f"one of {', '.join(LIGHTS)}")
+    return LIGHTS[name]
+
+
+def environment(name: str = DEFAULT) -> np.ndarray:
+    """(64, 128, 3) float32 linear radiance of a light, in the layout of Mitsuba's ``envmap``, y up."""
+    chosen = light(name)
     rows, columns = np.mgrid[0:_HEIGHT, 0:_WIDTH]
     theta = (rows + 0.5) / _HEIGHT * np.pi
     phi = (columns + 0.5) / _WIDTH * 2 * np.pi
     direction = np.stack([np.sin(phi) * np.sin(theta), np.cos(theta), -np.cos(phi) * np.sin(theta)], axis=-1)
     up = direction[..., 1:2]
-    sky = np.array([0.58, 0.62, 0.68]) + np.array([0.05, 0.10, 0.20]) * np.maximum(up, 0)
-    ground = np.array([0.36, 0.33, 0.29])
+    sky = np.array(chosen.sky) + np.array(chosen.zenith) * np.maximum(up, 0)
+    ground = np.array(chosen.ground)
     radiance = ground + (sky - ground) / (1 + np.exp(-up / 0.06))
-    for towards, width, peak in _LOBES:
+    for towards, width, peak in chosen.lamps:
         axis = np.array(towards) / np.linalg.norm(towards)
         angle = np.arccos(np.clip(direction @ axis, -1, 1))
         radiance = radiance + np.exp(-((angle / width) ** 2))[..., None] * np.array(peak)
     return radiance.astype(np.float32)
 
 
-def emitter() -> dict[str, Any]:
-    """The light as the dictionary of a Mitsuba emitter."""
-    return {"type": "envmap", "bitmap": mi.Bitmap(environment())}
+def emitter(name: str = DEFAULT) -> dict[str, Any]:
+    """A light as the dictionary of a Mitsuba emitter."""
+    return {"type": "envmap", "bitmap": mi.Bitmap(environment(name))}
 
 
-def write(folder: Path) -> str:
-    """Writes the light as a Mitsuba scene with its image into ``folder``; returns the scene's file name."""
+def write(folder: Path, name: str = DEFAULT) -> str:
+    """Writes a light as a Mitsuba scene with its image into ``folder``; returns the scene's file name."""
     with replacing(folder / ENVIRONMENT) as beside:
-        mi.Bitmap(environment()).write(str(beside))
+        mi.Bitmap(environment(name)).write(str(beside))
     write_text(
         folder / SCENE,
         f'<scene version="3.0.0">\n    <emitter type="envmap">\n'

@@ -74,6 +74,7 @@ class Settings:
 
 SIZES = {
     "tiny": Settings(48, 16, 5, 2, 3, 1, 1, 2, 2),
+    "lit": Settings(96, 256, 8, 4, 3, 2, 2, 2),
     "quick": Settings(128, 100, 8, 4, 14, 3, 4, 4, 8),
     "studio": Settings(256, 132, 21, 4, 64, 6, 10, 7, 12),
 }

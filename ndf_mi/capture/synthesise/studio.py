@@ -22,10 +22,11 @@ class Studio:
     Args:
         layers: the surfaces; their faces, colours and materials don't change.
         spp: samples a pixel, rounded up to what Mitsuba's ``multijitter`` sampler can stratify.
+        light: name of the light.
     """
 
-    def __init__(self, layers: Sequence[Layer], spp: int) -> None:
-        scene: dict = {"type": "scene", "light": lighting.emitter()}
+    def __init__(self, layers: Sequence[Layer], spp: int, light: str = lighting.DEFAULT) -> None:
+        scene: dict = {"type": "scene", "light": lighting.emitter(light)}
         self._keys = []
         for i, layer in enumerate(layers):
             name = f"layer{i}"

@@ -40,6 +40,7 @@ def synthesise(
     name: str = "performer",
     overwrite: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    light: str = lighting.DEFAULT,
 ) -> Path:
     """Makes a capture in the folder ``out``, or goes on where an interrupted call with the same settings stopped.
 
@@ -49,15 +50,20 @@ def synthesise(
         name: the capture's name.
         overwrite: makes anew what is in ``out`` where that is a capture; never replaces anything else.
         progress: called with the numbers of images done and to do, first with those that are there already.
+        light: name of the light. Captures of the same settings and name differ in it alone: performer, poses, cameras and masks agree.
 
     Returns:
         ``out``; nothing is done where the very capture is there already.
 
     Raises:
-        InputError: ``out`` holds something else; or the body's data are missing.
+        InputError: ``out`` holds something else; there is no such light; or the body's data are missing.
     """
     out = Path(out)
+    lighting.light(light)
     made_with = {"name": name, "recipe": RECIPE, "mitsuba": metadata.version("mitsuba"), **asdict(settings)}
+    if light != lighting.DEFAULT:
+        # Left out at its default, so that captures made before there was a choice are known again.
+        made_with["light"] = light
     _claim(out, made_with, overwrite)
     body = load_anny()
     poses = plan.motion(body, settings)
@@ -75,7 +81,7 @@ def synthesise(
     progress(done, len(pairs))
     if missing:
         performer = Performer(body, plan.shape_of(body))
-        studio = Studio(performer.layers, settings.spp)
+        studio = Studio(performer.layers, settings.spp, light)
         for frame in sorted({frame for _, frame in missing}):
             row = poses.index(frame)
             studio.pose(
@@ -87,7 +93,7 @@ def synthesise(
                 writer.write(camera, frame, composite(radiance, coverage), coverage > 0)
                 done += 1
                 progress(done, len(pairs))
-    lighting.write(out)
+    lighting.write(out, light)
     writer.finish(body, poses)
     return out
 

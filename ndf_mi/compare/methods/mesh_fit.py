@@ -161,7 +161,7 @@ class TextureFit:
 
 
 def best_rate(
-    surface: TexturedSurface, capture: Capture, size: int, seed: int
+    surface: TexturedSurface, capture: Capture, size: int, seed: int, fit: type[TextureFit] = TextureFit
 ) -> tuple[float, dict[str, float], float]:
     """The rate of `RATES` with the lowest training loss after `SWEEP_STEPS` steps on `SWEEP_FRAMES` training frames.
 
@@ -169,7 +169,7 @@ def best_rate(
     """
     start = time.perf_counter()
     chosen = sweep_frames(capture)
-    losses = {rate: TextureFit(surface, capture, size, rate, seed, chosen).for_steps(SWEEP_STEPS) for rate in RATES}
+    losses = {rate: fit(surface, capture, size, rate, seed, chosen).for_steps(SWEEP_STEPS) for rate in RATES}
     best = min(losses, key=lambda rate: losses[rate])
     return best, {f"{rate:g}": loss for rate, loss in losses.items()}, time.perf_counter() - start
 

@@ -32,15 +32,6 @@ class TexturedSurface:
         self._poses = capture.poses
         self._frame: int | None = None
         self._background = mi.Color3f(srgb_to_linear(capture.background).tolist())
-        mesh = mi.Mesh("body", len(self._source), len(faces), has_vertex_texcoords=True)
-        parameters = mi.traverse(mesh)
-        parameters["vertex_positions"] = self._vertices(int(capture.poses.frames[0]))
-        parameters["faces"] = faces.ravel()
-        parameters["vertex_texcoords"] = (uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
-        parameters.update()
-        self._scene = mi.load_dict({"type": "scene", "body": mesh})
-        self._parameters = mi.traverse(self._scene)
-        self._key = next(key for key in self._parameters.keys() if key.endswith("vertex_positions"))
         self._bitmap = mi.load_dict(
             {
                 "type": "bitmap",
@@ -50,6 +41,23 @@ class TexturedSurface:
             }
         )
         self._bitmap_parameters = mi.traverse(self._bitmap)
+        mesh = self._empty_mesh(len(self._source), len(faces))
+        parameters = mi.traverse(mesh)
+        parameters["vertex_positions"] = self._vertices(int(capture.poses.frames[0]))
+        parameters["faces"] = faces.ravel()
+        parameters["vertex_texcoords"] = (uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
+        parameters.update()
+        self._scene = self._make_scene(mesh)
+        self._parameters = mi.traverse(self._scene)
+        self._key = next(key for key in self._parameters.keys() if key.startswith("body") and key.endswith("vertex_positions"))
+
+    def _empty_mesh(self, vertices: int, faces: int) -> mi.Mesh:
+        """A mesh of that size, to be filled."""
+        return mi.Mesh("body", vertices, faces, has_vertex_texcoords=True)
+
+    def _make_scene(self, mesh: mi.Mesh) -> mi.Scene:
+        """The scene of the filled mesh."""
+        return mi.load_dict({"type": "scene", "body": mesh})
 
     def set_frame(self, frame: int) -> None:
         """Moves the vertices to `frame`; kernels stay. InputError names the frames there are."""

@@ -1,0 +1,80 @@
+"""Pictures of a lit scene over a capture's background, and how noisy they are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.capture.camera import Camera
+from ndf_mi.colour import linear_to_srgb, srgb_to_linear
+
+LANES = 1 << 16
+"""Paths traced at once: every launch has as many, so that one kernel serves all cameras."""
+
+
+class Lit:
+    """Draws a scene with one of Mitsuba's integrators, pixels box-filtered; camera rays that meet nothing see the background.
+
+    Args:
+        scene: performer and lights.
+        integrator: made with `hide_emitters`.
+        background: (3,) sRGB.
+        spp: samples a pixel, an even number.
+    """
+
+    def __init__(self, scene: mi.Scene, integrator: Any, background: np.ndarray, spp: int) -> None:
+        self._scene = scene
+        self._integrator = integrator
+        self._background = np.asarray(srgb_to_linear(np.asarray(background, dtype=np.float64)))
+        self._spp = spp
+        self._sampler = mi.load_dict({"type": "independent"})
+
+    def render(self, camera: Camera, pixels: np.ndarray, seed: int) -> tuple[np.ndarray, float]:
+        """A picture.
+
+        Args:
+            camera: a pinhole camera.
+            pixels: (h, w) bool, those that the performer can be seen in.
+            seed: of the samples.
+
+        Returns:
+            (h, w, 3) float32 sRGB in [0, 1]; the mean squared error in sRGB of `pixels` that is noise, from the difference of the two
+            pictures that half of the samples make.
+        """
+        where = np.flatnonzero(pixels)
+        first, second = (self._half(camera, where, 2 * seed + half) for half in range(2))
+        noise = float(np.mean(np.square(_encode(first) - _encode(second)))) / 4
+        image = np.broadcast_to(self._background, (camera.h * camera.w, 3)).copy()
+        image[where] = (first + second) / 2
+        return _encode(image).reshape(camera.h, camera.w, 3).astype(np.float32), noise
+
+    def _half(self, camera: Camera, where: np.ndarray, seed: int) -> np.ndarray:
+        """(P, 3) linear means over half of the samples."""
+        samples = self._spp // 2
+        step = max(LANES // samples, 1)
+        out = np.zeros((len(where), 3))
+        for start in range(0, len(where), step):
+            some = where[start : start + step]
+            out[start : start + step] = self._tile(camera, np.resize(some, step), samples, seed * 8191 + start)[: len(some)]
+        return out
+
+    def _tile(self, camera: Camera, pixels: np.ndarray, samples: int, seed: int) -> np.ndarray:
+        count = len(pixels) * samples
+        self._sampler.seed(dr.opaque(mi.UInt32, seed % 2**32), count)
+        pixel = dr.gather(mi.UInt32, mi.UInt32(pixels.astype(np.uint32)), dr.arange(mi.UInt32, count) // samples)
+        row = pixel // dr.opaque(mi.UInt32, camera.w)
+        corner = mi.Point2f(mi.Float(pixel - row * dr.opaque(mi.UInt32, camera.w)), mi.Float(row))
+        ray = mi.RayDifferential3f(camera.rays(corner + self._sampler.next_2d()))
+        with dr.suspend_grad():
+            found, hit, _ = self._integrator.sample(self._scene, self._sampler, ray)
+            colour = dr.select(hit, mi.Color3f(found), mi.Color3f(self._background.tolist()))
+            # Together: each block sum would trace the paths anew otherwise.
+            dr.eval(colour)
+            return np.stack([dr.block_sum(channel, samples).numpy() for channel in colour], axis=1) / samples
+
+
+def _encode(linear: np.ndarray) -> np.ndarray:
+    return np.clip(linear_to_srgb(np.maximum(linear, 0)), 0, 1)

@@ -1,0 +1,76 @@
+"""A field put onto a lattice: evaluated at the nodes that lie in it, by batched networks, attached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from ndf_mi.render.sampling import compact
+from ndf_mi.render.strata import VolumeField
+
+
+@dataclass
+class Baked:
+    """A field at a lattice's nodes.
+
+    Attributes:
+        values: K lanes of σ_t and of σ_s, red, green and blue, in 1/m; attached to the field's parameters.
+        index, real: K; the node of each lane, and whether it is one or padding.
+        nodes: flat (nz, ny, nx, 4) of the whole lattice, detached, zero at all other nodes.
+        densest: the largest σ_t, one number.
+    """
+
+    values: tuple[mi.Float, mi.Float, mi.Float, mi.Float]
+    index: mi.UInt32
+    real: mi.Bool
+    nodes: mi.Float
+    densest: mi.Float
+
+    def pulled(self, adjoint: mi.Float) -> mi.Float:
+        """One number whose derivatives in the field's parameters are those of a function that has the derivatives `adjoint` in `nodes`."""
+        total = mi.Float(0.0)
+        for channel, value in enumerate(self.values):
+            total = total + dr.sum(value * dr.gather(mi.Float, adjoint, 4 * self.index + channel, self.real))
+        return total
+
+
+def bake(volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, int, int]) -> Baked:
+    """Evaluates `volume` at the inner nodes of a lattice; the outermost stay empty. Colours must not depend on the view direction.
+
+    Args:
+        low: position of the first node.
+        cell: from one node to the next, metres.
+        shape: nodes along x, y and z.
+    """
+    nx, ny, nz = shape
+    count = nx * ny * nz
+
+    def at(index: mi.UInt32) -> mi.Point3f:
+        row = index // nx
+        layer = row // ny
+        return low + cell * mi.Point3f(mi.Float(index - row * nx), mi.Float(row - layer * ny), mi.Float(layer))
+
+    with dr.suspend_grad():
+        index = dr.arange(mi.UInt32, count)
+        row = index // nx
+        layer, i, j = row // ny, index - row * nx, row % ny
+        inner = (i > 0) & (i < nx - 1) & (j > 0) & (j < ny - 1) & (layer > 0) & (layer < nz - 1)
+        chosen, real, _ = compact(inner & volume.near(at(index)))
+        handle, inside = volume.locate(at(chosen), real)
+        inside &= real
+        dr.eval(handle, inside)
+        second, real, _ = compact(inside)
+        index, handle = dr.gather(mi.UInt32, chosen, second), dr.gather(type(handle), handle, second)
+        dr.eval(index, handle)
+    direction = mi.Vector3f(dr.zeros(mi.Float, dr.width(index)), 0.0, 1.0)
+    sample = volume.evaluate(at(index), direction, handle, real)
+    values = (sample.sigma, *(sample.sigma * channel for channel in sample.colour))
+    with dr.suspend_grad():
+        nodes = dr.zeros(mi.Float, 4 * count)
+        for channel, value in enumerate(values):
+            dr.scatter(nodes, dr.detach(value), 4 * index + channel, real, mode=dr.ReduceMode.Permute)
+        densest = dr.max(dr.select(real, dr.detach(sample.sigma), 0.0))
+        dr.eval(nodes, densest)
+    return Baked(values, index, real, nodes, densest)

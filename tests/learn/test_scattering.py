@@ -1,0 +1,161 @@
+"""Training through scattering: density and albedo come back, it resumes, and refuses what it cannot do before anything is written."""
+
+import dataclasses
+import json
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from ndf_mi import commands, files
+from ndf_mi.capture.capture import Capture
+from ndf_mi.errors import InputError
+from ndf_mi.field import preset
+from ndf_mi.learn.loop import resume, start, train
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.scattering import relightable
+from ndf_mi.render.majorant import densities
+from ndf_mi.run import Run
+
+TINY, _ = relightable(dataclasses.replace(preset("tiny"), band_inside=0.08, pose_layers=(), density_limit=60.0))
+OPTIONS = TrainingOptions(steps=120, warm_up=60, rays=256, samples=24, paths=8, max_depth=6, cell=0.02, seed=4, integrator="prbvolpath",
+                          learning_rate=1e-2, grid_rate=3e-2, pose_noise=0.0)
+ALBEDO = (0.9, 0.6, 0.3)
+
+
+@pytest.fixture
+def truth(make_constant_run):
+    """Opaque, and of one albedo, whose sRGB the run takes."""
+    from ndf_mi.colour import linear_to_srgb
+
+    srgb = tuple(float(linear_to_srgb(np.array(a))) for a in ALBEDO)
+    return make_constant_run(25.0, srgb=srgb, name="truth", direction_octaves=-1, normal_octaves=-1)
+
+
+def in_band(run, count=4000):
+    """Random points just below the surface of the ball that light and cameras reach, at frame 1."""
+    rng = np.random.default_rng(0)
+    d = rng.normal(size=(count, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    return d * (0.3 + rng.uniform(0.0, 0.06, (count, 1))) + run.poses.translation[run.poses.index(1)]
+
+
+def albedo_of(run, points):
+    posed = run.posed(1)
+    posed.bound.pack()
+    sample = posed.fused(mi.Point3f(points.T.astype(np.float32)), mi.Vector3f(0, 0, 1))
+    weight = sample.sigma.numpy()
+    return (sample.colour.numpy() * weight).sum(1) / weight.sum()
+
+
+def test_density_and_albedo_are_recovered(truth, lit_capture, tmp_path):
+    capture = lit_capture(truth, "day", spp=256)
+    trainer = start(tmp_path / "run", capture, TINY, dataclasses.replace(OPTIONS, steps=600, warm_up=100, decay=0.3))
+    while not trainer.scattering:
+        trainer.step()
+    trainer.publish()
+    points = in_band(trainer.run)
+    before = albedo_of(trainer.run, points)
+    train(trainer, quiet=True)
+    run = Run.load(tmp_path / "run")
+    after = albedo_of(run, points)
+    assert np.abs(after - ALBEDO).max() < 0.08
+    assert np.abs(after - ALBEDO).max() < 0.5 * np.abs(before - ALBEDO).max()
+    # Opaque where the truth is: light comes through four centimetres of it by an e-th.
+    assert 12 < np.median(densities(run.posed(1), points)) < 60
+    assert run.config["training"]["integrator"] == "prbvolpath" and run.config["trained"]["done"]
+    rows = [json.loads(line) for line in (run.path / "metrics.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == list(range(150, 601, 50))
+
+
+def test_no_kernel_is_compiled_from_frame_to_frame(truth, lit_capture, tmp_path):
+    trainer = start(tmp_path / "run", lit_capture(truth, "day"), TINY, dataclasses.replace(OPTIONS, warm_up=0))
+    for _ in range(6):
+        trainer.step()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        for _ in range(6):
+            trainer.step()
+        history = dr.kernel_history([dr.KernelType.JIT])
+    assert history and sum(not kernel["cache_hit"] for kernel in history) == 0
+
+
+def test_a_resumed_training_goes_on_where_it_stopped(truth, lit_capture, tmp_path):
+    capture = lit_capture(truth, "day")
+    options = dataclasses.replace(OPTIONS, steps=12, warm_up=4)
+    whole = start(tmp_path / "whole", capture, TINY, options)
+    half = start(tmp_path / "half", capture, TINY, options)
+    for _ in range(12):
+        whole.step()
+    for _ in range(7):
+        half.step()
+    half.save()
+    again = resume(tmp_path / "half", capture)
+    assert again.scattering
+    while again.done < 1:
+        again.step()
+    for trainer in (whole, again):
+        trainer.publish()
+    for key, value in whole.run.field_tensors().items():
+        np.testing.assert_allclose(again.run.field_tensors()[key], value, rtol=0, atol=1e-2 * np.abs(value).max())
+
+
+def test_a_step_that_is_not_finite_is_not_taken(truth, lit_capture, tmp_path, monkeypatch):
+    trainer = start(tmp_path / "run", lit_capture(truth, "day"), TINY, dataclasses.replace(OPTIONS, warm_up=0))
+    trainer.step()
+    gradients = trainer._gradients
+    monkeypatch.setattr(trainer, "_gradients", lambda batch: dataclasses.replace(gradients(batch), loss=mi.Float(dr.nan)))
+    trainer.step()
+    assert trainer.progress.step == 1 and trainer.progress.refused == 1 and trainer.progress.rate_factor == 0.5
+
+
+@pytest.fixture
+def refused(truth, lit_capture, tmp_path, capsys):
+    """Calls `ndf-mi optimise`, which is to fail with exit code 2 and write nothing; returns what it says."""
+    capture = lit_capture(truth, "day")
+
+    def call(integrator="prbvolpath", change=None, *more):
+        if change is not None:
+            change(capture.path)
+        out = tmp_path / "out"
+        assert commands.main(["optimise", str(capture.path), "-o", str(out), "--preset", "tiny", "--integrator", integrator, *more]) == 2
+        assert not out.exists()
+        return capsys.readouterr().err
+
+    return call
+
+
+def without_light(folder):
+    document = json.loads((folder / "capture.json").read_text())
+    del document["lighting"]
+    files.write_json(folder / "capture.json", document)
+
+
+def dark(folder):
+    (folder / "lighting.xml").write_text('<scene version="3.0.0"><shape type="sphere"/></scene>')
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (("moonbeam",), ["moonbeam", "does not exist", "prbvolpath"]),
+    (("volpath",), ["volpath", "cannot differentiate media"]),
+    (("prb",), ["cannot differentiate media"]),
+    (("prbvolpath", without_light), ["capture.json: lighting", "nothing"]),
+    (("prbvolpath", dark), ["lighting.xml", "without an emitter"]),
+    (("prbvolpath", lambda folder: (folder / "lighting.xml").unlink()), ["lighting.scene"]),
+    (("prbvolpath", None, "--option", "normal_octaves=1"), ["normal_octaves", "light of the capture"]),
+    (("prbvolpath", None, "--option", "paths=1"), ["paths", "at least 2"]),
+    (("prbvolpath", None, "--steps", "100"), ["warm-up", "1500", "100"]),
+])
+def test_what_cannot_be_trained_on_is_told_and_nothing_written(refused, arguments, words):
+    said = refused(*arguments)
+    for word in words:
+        assert word in said
+
+
+def test_captures_know_their_lighting(truth, lit_capture):
+    capture = lit_capture(truth, "day")
+    assert capture.known_lighting() == capture.path / "lighting.xml"
+    without_light(capture.path)
+    with pytest.raises(InputError, match="lighting"):
+        Capture.read(capture.path).known_lighting()

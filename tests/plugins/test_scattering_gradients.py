@@ -1,0 +1,156 @@
+"""Gradients of `prbvolpath` through a field, in its weights and hash table, against central differences of independent renders.
+
+Directions are random in the orthant of the gradient (from renders of their own), so that derivatives along them are not lost in noise.
+Differences between differences and gradients are held against three standard errors of both. Light comes mostly from one side, albedo is
+coloured, paths have up to five vertices.
+"""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from ndf_mi.learn.stage import Stage
+from ndf_mi.model import PosedModel
+from ndf_mi.render.replay import Replay
+
+RADIUS, BAND = 0.3, 0.08
+#: Optical depth of the band along its normal.
+ORDINARY, THICK = 2.0, 20.0
+ERRORS = 3
+BEHIND = (0.3, 0.5, 0.2)
+
+
+def lights():
+    return {"sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.2, 0.3, 0.4]}},
+            "sun": {"type": "directional", "direction": [0.5, -0.6, -1], "irradiance": {"type": "rgb", "value": [2.0, 1.6, 1.2]}}}
+
+
+def uneven(make_constant_run, depth, **changes):
+    """A field of about that optical depth, which varies by some ten percent from place to place, as its albedo does."""
+    run = make_constant_run(depth / (2 * BAND), srgb=(0.9, 0.7, 0.5), direction_octaves=-1, normal_octaves=-1, **changes)
+    field = run.model.field
+    weights, rng = field.weights.numpy(), np.random.default_rng(3)
+    for name, row, size in (("density_out", 0, 0.3), *(("colour_out", row, 0.5) for row in range(3))):
+        at = field.layers[name]
+        start = at.offset + row * (at.inputs + at.pose)
+        # Relative to the network's output: what it means in density depends on where the activation is.
+        weights[start : start + at.inputs] = size * rng.normal(size=at.inputs)
+    field.weights = mi.Float(weights)
+    if field.grid is not None:
+        field.grid = mi.Float(0.5 * rng.normal(size=dr.width(field.grid)).astype(np.float32))
+    run.save()
+    return run
+
+
+def rays(count, rng):
+    """Parallel rays through a square around the ball."""
+    x, y = rng.uniform(-0.35, 0.35, (2, count)).astype(np.float32)
+    return mi.Ray3f(mi.Point3f(x, y, 2.0), mi.Vector3f(dr.zeros(mi.Float, count), 0.0, -1.0))
+
+
+class Direct:
+    """The medium `ndf` itself."""
+
+    def __init__(self, run):
+        self.scene = mi.load_dict({"type": "scene", **lights(), "performer": {
+            "type": "ndf_shell", "interior": {"type": "ndf", "run": str(run.path), "frame": 0}}})
+        self.parameters = mi.traverse(self.scene)
+
+    def set(self, values, wanted):
+        for name, value in values.items():
+            key = f"performer.interior_medium.{name}"
+            self.parameters[key] = mi.Float(value)
+            if wanted:
+                dr.enable_grad(self.parameters[key])
+        self.parameters.update()
+
+    def gradients(self, names):
+        return {name: dr.grad(self.parameters[f"performer.interior_medium.{name}"]).numpy() for name in names}
+
+
+class OnLattice:
+    """The field on a lattice, as training has it."""
+
+    def __init__(self, run):
+        self.run = run
+        self.stage = Stage(run, [0], {key: mi.load_dict(value) for key, value in lights().items()}, 0.02)
+        self.scene = self.stage.scene
+
+    def set(self, values, wanted):
+        self.values = {name: mi.Float(value) for name, value in values.items()}
+        if wanted:
+            dr.enable_grad(self.values)
+        field = self.run.model.field
+        field.weights, field.grid = self.values["weights"], self.values.get("grid", field.grid)
+        self.baked = self.stage.place(PosedModel(self.run.model, self.run.surface(0), self.run.pose_vector(0)), 0, np.full(3, 0.3))
+
+    def gradients(self, names):
+        dr.backward(self.baked.pulled(self.stage.gradient()))
+        return {name: dr.grad(self.values[name]).numpy() for name in names}
+
+
+class Measured:
+    """Means of the light along rays, weighted unevenly over the channels, and their gradients: each call with other rays and paths."""
+
+    WEIGHTS = (0.5, 1.0, 0.7)
+
+    def __init__(self, place):
+        self.place = place
+        integrator = mi.load_dict({"type": "prbvolpath", "max_depth": 6, "rr_depth": 1000, "hide_emitters": True})
+        self.replay = Replay(place.scene, integrator, mi.Color3f(*BEHIND))
+        self.seed = 0
+
+    def mean(self, count):
+        self.seed += 1
+        radiance = self.replay.radiance(rays(count, np.random.default_rng(self.seed)), self.seed)
+        return float(sum(w * dr.mean(channel) for w, channel in zip(self.WEIGHTS, radiance, strict=True))[0])
+
+    def gradient(self, values, count):
+        self.seed += 1
+        self.place.set(values, wanted=True)
+        ray = rays(count, np.random.default_rng(self.seed))
+        radiance = self.replay.radiance(ray, self.seed)
+        self.replay.backward(ray, self.seed, radiance, mi.Color3f(*self.WEIGHTS) / count)
+        return self.place.gradients(values)
+
+
+def check(place, values, change, paths, repeats, forward):
+    """Derivatives along one random direction a parameter.
+
+    Args:
+        change: relative change of the mean by a step of the differences, about.
+        paths, repeats: of a gradient, and how many are averaged.
+        forward: paths of a render for the differences.
+    """
+    measured, rng = Measured(place), np.random.default_rng(5)
+    guess = measured.gradient(values, paths)
+    found = [measured.gradient(values, paths) for _ in range(repeats)]
+    for name, value in values.items():
+        direction = np.abs(rng.normal(size=value.shape)) * np.sign(guess[name])
+        direction /= np.linalg.norm(direction)
+        along = np.array([np.dot(g[name].astype(np.float64), direction) for g in found])
+        gradient, error = along.mean(), along.std(ddof=1) / np.sqrt(repeats)
+        step = change * measured.mean(forward) / abs(gradient)
+        sides = []
+        for sign in (1, -1):
+            place.set({**values, name: (value + sign * step * direction).astype(np.float32)}, wanted=False)
+            sides.append([measured.mean(forward) for _ in range(4)])
+        difference = (np.mean(sides[0]) - np.mean(sides[1])) / (2 * step)
+        noise = np.sqrt(np.var(sides[0], ddof=1) + np.var(sides[1], ddof=1)) / (2 * step) / 2
+        assert abs(gradient - difference) < ERRORS * np.hypot(error, noise), (name, gradient, difference, error, noise)
+        # The comparison means something: the noise is small itself.
+        assert error < 0.25 * abs(gradient) and noise < 0.25 * abs(gradient), (name, gradient, error, noise)
+        place.set(values, wanted=False)
+
+
+@pytest.mark.parametrize(("depth", "change", "paths"), [(ORDINARY, 0.02, 1 << 14), (THICK, 0.02, 1 << 13)])
+def test_gradients_on_the_lattice_agree_with_differences(make_constant_run, depth, change, paths):
+    run = uneven(make_constant_run, depth)
+    check(OnLattice(run), run.field_tensors(), change, paths, repeats=8, forward=8 * paths)
+
+
+def test_gradients_of_the_medium_agree_with_differences(make_constant_run):
+    """At one depth: evaluating networks at every collision takes minutes."""
+    run = uneven(make_constant_run, ORDINARY, grid_levels=2)
+    check(Direct(run), run.field_tensors(), 0.03, 1 << 11, repeats=6, forward=1 << 15)
