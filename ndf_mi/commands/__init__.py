@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from ndf_mi.errors import InputError
 
 USAGE_ERROR = 2
 INTERRUPTED = 130
+UNREAD = 141
+"""As shells report a process that SIGPIPE ended."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except SystemExit as leaving:  # tyro's: 0 after --help, 2 after a usage error
         return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
+
+
+def console() -> int:
+    """What the installed command calls: :func:`main`, ending quietly where nobody reads on, as in ``ndf-mi --help | head -1``."""
+    try:
+        code = main()
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The interpreter flushes once more when it leaves.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return UNREAD
+    return code
 
 
 def find(arguments: Sequence[str]) -> Entry | None:

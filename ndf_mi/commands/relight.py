@@ -37,6 +37,10 @@ class Relight:
     texture: int = 256
     """Texels a side of the mesh's reflectance."""
 
+    lattice: float = 0.0
+    """Spacing in metres of a lattice to show the field on, as it was trained: several times as fast as the field itself, which 0 shows, and
+    blurred by a cell."""
+
     seed: int = 0
     """Of the choice of images and of the mesh's training."""
 
@@ -49,7 +53,7 @@ class Relight:
         from ndf_mi.compare.report import command_line
 
         folder = self.out or self.run_folder / "relight"
-        settings = Settings(self.spp, self.max_images, self.texture, self.seed)
+        settings = Settings(self.spp, self.max_images, self.texture, self.lattice, self.seed)
         relighting = Relighting(self.run_folder, self.capture, self.under, folder, settings, command_line(self._arguments()))
         with ConsoleWatcher(sys.stderr) as watcher:
             relighting.run(watcher)

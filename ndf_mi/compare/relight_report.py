@@ -54,6 +54,9 @@ def notes(results: Mapping[str, Results]) -> list[str]:
     parts = [f"{method.label} {method.facts['noise_psnr']:.1f} dB under the {lighting} light"
              for lighting in LIGHTINGS for method in results[lighting].methods if method.facts.get("noise_psnr") is not None]
     told = [f"Noise of the pictures alone, as PSNR in the box: {', '.join(parts)}."] if parts else []
+    lattice = results[SEEN].about["settings"].get("lattice", 0.0)
+    if lattice:
+        told.append(f"The field is shown on a lattice of {1000 * lattice:g} mm, as it was trained, not itself.")
     return told + [note for method in results[SEEN].methods if (note := tables.mesh_note(method))]
 
 

@@ -38,12 +38,14 @@ class Settings:
         spp: samples a pixel, an even number.
         max_images: images measured of each held-out split; None for all.
         texture: texels a side of the mesh's reflectance.
+        lattice: spacing in metres of the lattice that the field is shown on; 0 shows the field itself.
         seed: of the choice of images and of the mesh's training.
     """
 
     spp: int = 256
     max_images: int | None = None
     texture: int = 256
+    lattice: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -52,6 +54,8 @@ class Settings:
         for key in ("max_images", "texture"):
             if getattr(self, key) is not None and getattr(self, key) < 1:
                 raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "at least 1")
+        if not 0 <= self.lattice < float("inf"):
+            raise InputError("option lattice", repr(self.lattice), "a length in metres, or 0")
         if self.seed < 0:
             raise InputError("option seed", repr(self.seed), "a whole number from 0 on")
 
@@ -99,7 +103,9 @@ class Relighting:
         """Trains the mesh, measures both methods under both lights; a JSON file is written after each image."""
         mesh = self._mesh(watcher)
         for lighting in LIGHTINGS:
-            field = LitField(self._run, self._lights[lighting], lighting, self.settings.spp, self._depth)
+            frames = sorted({view.frame for view in self._views[lighting]})
+            field = LitField(
+                self._run, self._lights[lighting], lighting, self.settings.spp, self._depth, frames, self.settings.lattice)
             self._measure(lighting, "ndf", "NDF", field, field.fingerprint(), field.noise, watcher)
             shown = mesh.under(self.captures[SEEN], self._lights[lighting], lighting, self.settings.spp)
             self._measure(lighting, MESH, "Diffuse mesh", shown, shown.fingerprint(), shown.noise, watcher)

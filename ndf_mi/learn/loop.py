@@ -42,7 +42,7 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
     # A run that was stopped while it was first written has no config.json yet.
     unfinished = {"body.npz", "poses.npz", "field.safetensors"}
     if folder.exists() and (not folder.is_dir()
-                            or {file.name for file in folder.iterdir() if not _temporary(file)} - unfinished):
+                            or {file.name for file in folder.iterdir() if not files.is_left_over(file)} - unfinished):
         raise InputError(folder, "something there already", "a new or empty folder",
                          "Go on with what is there by --resume, or take another folder.")
     body = capture.body
@@ -65,11 +65,6 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
 
 def _trainer(run: Run, capture: Capture, options: TrainingOptions) -> Trainer:
     return (Trainer if options.integrator == QUADRATURE else ScatteringTrainer)(run, capture, options)
-
-
-def _temporary(file: Path) -> bool:
-    """Whether a file is one that was being written beside its place when the process was killed."""
-    return file.name.startswith(".") and file.suffix in (".npz", ".json", ".safetensors")
 
 
 def resume(path: str | os.PathLike[str], capture: Capture) -> Trainer:

@@ -89,6 +89,17 @@ def test_options_are_documented(capsys):
         assert text in out
 
 
+def test_a_reader_that_leaves_early_is_no_error():
+    """As in ``ndf-mi --help | head -1``: the pipe is closed before anything is written."""
+    process = subprocess.Popen([sys.executable, "-c", "import sys; from ndf_mi.commands import console; sys.argv[1:] = ['--help']; "
+                                "sys.stdin.read(); sys.exit(console())"],
+                               stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    process.stdin.close()
+    assert process.wait() == 141
+    assert process.stderr.read() == b""
+
+
 def test_installed_entry_point():
     tool = Path(sys.executable).with_name("ndf-mi")
     result = subprocess.run([tool, "--version"], capture_output=True, text=True)

@@ -9,6 +9,7 @@ import pytest
 from ndf_mi import commands
 from ndf_mi.compare import metrics
 from ndf_mi.compare.methods import mesh_fit
+from ndf_mi.compare.methods.lit_field import LitField
 from ndf_mi.compare.methods.lit_mesh import LitMesh
 from ndf_mi.compare.methods.lit_surface import ReflectanceFit
 from ndf_mi.field import preset
@@ -76,7 +77,23 @@ def test_captures_that_do_not_belong_are_refused(captures, trained, make_run, tm
         said = capsys.readouterr().err
         assert all(word in said for word in words), said
     assert call(trained, day, night, out, "--spp", "7") == 2
+    assert call(trained, day, night, out, "--lattice", "-1") == 2
     assert not out.exists()
+
+
+def test_a_lattice_shows_what_the_field_itself_shows(make_constant_run, captures):
+    """Constant extinction and albedo: but for the band's edges, where the lattice smooths over a cell, the two are the same medium."""
+    run = make_constant_run(25.0, srgb=(0.9, 0.7, 0.5), direction_octaves=-1, normal_octaves=-1)
+    capture = captures[0]
+    images, noise = [], 0.0
+    for lattice in (0.0, 0.01):
+        method = LitField(run, lights(capture.known_lighting()), "day", 64, 6, [1], lattice)
+        images.append(method.render(capture.cameras["n0"], 1))
+        noise += method.noise[0]
+    inside = capture.mask("n0", 1)
+    bias = (images[1] - images[0])[inside].mean(0)
+    assert np.abs(bias).max() < 0.01 + 3 * np.sqrt(noise / inside.sum())
+    assert method.fingerprint() != LitField(run, {}, "day", 64, 6, [1]).fingerprint()
 
 
 def test_the_diffuse_mesh_recovers_a_reflectance_and_shows_it_in_another_light(captures):

@@ -20,7 +20,7 @@ from ndf_mi.render.replay import Replay
 MAX_DEPTH = 3
 """As the synthetic captures are rendered: light reaches the eye by two reflections at most."""
 
-TRAIN_SPP = 16
+TRAIN_SPP = 4
 
 
 class LitSurface(TexturedSurface):
