@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,17 +31,32 @@ LIGHTS = {
 }
 
 
+@pytest.fixture(scope="session")
+def drawn() -> dict[str, Path]:
+    """Folders of captures that were drawn before, by what they show."""
+    return {}
+
+
 @pytest.fixture
-def lit_capture(tmp_path: Path) -> Callable[..., Capture]:
+def lit_capture(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, drawn: dict[str, Path]) -> Callable[..., Capture]:
     """Draws a saved run, whose field is the truth, under one of `LIGHTS`: two training frames, one of them also a novel view. Two samples a
-    pixel are enough to look at, not to learn from."""
+    pixel are enough to look at, not to learn from. The same is drawn only once."""
 
     def make(run: Any, light: str, spp: int = 2) -> Capture:
+        key = hashlib.sha256(f"{light} {spp} {run.config['preset']}".encode())
+        for name, values in sorted(run.field_tensors().items()):
+            key.update(name.encode() + values.tobytes())
+        known = drawn.get(key.hexdigest())
+        if known is None:
+            known = drawn[key.hexdigest()] = draw(run, light, spp, tmp_path_factory.mktemp("drawn") / light)
+        shutil.copytree(known, tmp_path / light)
+        return Capture.read(tmp_path / light)
+
+    def draw(run: Any, light: str, spp: int, folder: Path) -> Path:
         cameras = {c.name: c for c in (ring_camera(f"c{i}", 1.57 * i, 0.5 * (-1) ** i, SIZE) for i in range(4))}
         cameras["n0"] = ring_camera("n0", 0.8, size=SIZE)
         splits = {"train": Split(("c0", "c1", "c2", "c3"), (0, 1)), "novel_view": Split(("n0",), (1,))}
         document = Document(name="ball", background=BACKGROUND, cameras=cameras, splits=splits, lighting="lighting.xml")
-        folder = tmp_path / light
         files.write_text(folder / "lighting.xml", f'<scene version="3.0.0">{LIGHTS[light]}</scene>')
         writer = CaptureWriter(folder, document)
         whole = np.ones((SIZE, SIZE), dtype=bool)
@@ -55,6 +72,6 @@ def lit_capture(tmp_path: Path) -> Callable[..., Capture]:
                 mask[SIZE // 2, SIZE // 2] = True
                 writer.write(camera, frame, np.where(mask[..., None], image, BACKGROUND), mask)
         writer.finish(run.body, run.poses)
-        return Capture.read(folder)
+        return folder
 
     return make
