@@ -11,13 +11,12 @@ import matplotlib
 import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
 from PIL import Image
 
 COLOUR_MAP = "magma"
 #: Stands for the page's text colour in drawings, which follows the reader's light or dark theme.
-_INK = "#123456"
-_LINES = ("#3b82c4", "#d97a2b", "#7a9a3a", "#b0559e", "#c9a227", "#4aa3a2")
+INK = "#123456"
+LINES = ("#3b82c4", "#d97a2b", "#7a9a3a", "#b0559e", "#c9a227", "#4aa3a2")
 
 
 def data_uri(image: np.ndarray) -> str:
@@ -67,86 +66,40 @@ def line_chart(
         title: above the chart.
         reference: (label, x, y) of a dashed line in the text's colour.
     """
-    figure, axes = _chart(x_label, y_label, title)
+    figure, axes = chart(x_label, y_label, title)
     for index, (label, x, y) in enumerate(series):
         # A point alone has no line.
         marker = "o" if len(x) < 3 else None
-        axes.plot(x, y, label=label, linewidth=1.6, marker=marker, color=_LINES[index % len(_LINES)])
+        axes.plot(x, y, label=label, linewidth=1.6, marker=marker, color=LINES[index % len(LINES)])
     if reference is not None:
         label, x, y = reference
         marker = "_" if len(x) < 3 else None
-        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", marker=marker, color=_INK, alpha=0.6)
+        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", marker=marker, color=INK, alpha=0.6)
     if len(series) > 1 or reference is not None:
-        axes.legend(frameon=False, labelcolor=_INK, fontsize=9)
-    return _svg(figure)
+        axes.legend(frameon=False, labelcolor=INK, fontsize=9)
+    return as_svg(figure)
 
 
-def front_chart(
-    points: Sequence[tuple[str, float, float]],
-    front: Sequence[int],
-    knee: int | None,
-    x_label: str,
-    y_label: str,
-    title: str,
-    reference: tuple[str, float] | None = None,
-) -> str:
-    """A trade as an `<svg>` element in the page's text colour: every point, those of the front joined and named, its knee ringed.
-
-    Args:
-        points: (label, cost, quality), finite; cost is drawn by its logarithm.
-        front: indices of the points that no other beats, by rising cost.
-        knee: index of one of them.
-        x_label, y_label: of the axes.
-        title: above the chart.
-        reference: (label, quality) of a dashed line across.
-    """
-    figure, axes = _chart(x_label, y_label, title, size=(7.4, 4.6))
-    axes.set_xscale("log")
-    rest = [point for index, point in enumerate(points) if index not in front]
-    axes.plot([x for _, x, _ in rest], [y for _, _, y in rest], "o", color=_INK, markerfacecolor="none", alpha=0.55, markersize=4,
-              label="beaten by another")
-    axes.plot([points[i][1] for i in front], [points[i][2] for i in front], "o-", color=_LINES[0], linewidth=1.4, markersize=5,
-              label="front")
-    if knee is not None:
-        axes.plot(points[knee][1], points[knee][2], "o", color=_LINES[1], markerfacecolor="none", markersize=12, markeredgewidth=1.6,
-                  label="knee")
-    for index in front:
-        label, x, y = points[index]
-        axes.annotate(label, (x, y), xytext=(-5, 5), textcoords="offset points", fontsize=8, color=_INK, horizontalalignment="right")
-    if reference is not None:
-        axes.axhline(reference[1], color=_INK, linestyle="--", linewidth=1.0, alpha=0.6, label=reference[0])
-    # Room for the names, which stand left of their points, where no point of a front has another one above and before it.
-    low, high = min(x for _, x, _ in points), max(x for _, x, _ in points)
-    reach = max(high / low, 1.2)
-    axes.set_xlim(low / reach**0.4, high * reach**0.06)
-    axes.margins(y=0.1)
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5, 7)))
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.legend(frameon=False, labelcolor=_INK, fontsize=8, loc="lower left", bbox_to_anchor=(0, 1), ncols=4)
-    return _svg(figure)
-
-
-def _chart(x_label: str, y_label: str, title: str, size: tuple[float, float] = (4.6, 2.9)) -> tuple[Figure, Any]:
+def chart(x_label: str, y_label: str, title: str, size: tuple[float, float] = (4.6, 2.9)) -> tuple[Figure, Any]:
     """An empty chart and its axes."""
     figure = Figure(figsize=size)
     FigureCanvasSVG(figure)
     axes = figure.add_subplot()
-    axes.set_xlabel(x_label, color=_INK)
-    axes.set_ylabel(y_label, color=_INK)
-    axes.set_title(title, color=_INK, fontsize=10, loc="left")
-    axes.tick_params(colors=_INK, labelsize=9)
-    axes.grid(color=_INK, alpha=0.15, linewidth=0.6)
+    axes.set_xlabel(x_label, color=INK)
+    axes.set_ylabel(y_label, color=INK)
+    axes.set_title(title, color=INK, fontsize=10, loc="left")
+    axes.tick_params(colors=INK, labelsize=9)
+    axes.grid(color=INK, alpha=0.15, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(_INK)
+    axes.spines[["left", "bottom"]].set_color(INK)
     return figure, axes
 
 
-def _svg(figure: Figure) -> str:
-    """The figure as an `<svg>` element; what is drawn in `_INK` has the page's text colour."""
+def as_svg(figure: Figure) -> str:
+    """The figure as an `<svg>` element; what is drawn in `INK` has the page's text colour."""
     figure.tight_layout()
     stream = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": "ndf-mi", "svg.fonttype": "none", "font.family": "sans-serif"}):
         figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
     text = stream.getvalue()
-    return text[text.index("<svg") :].replace(_INK, "currentColor")
+    return text[text.index("<svg") :].replace(INK, "currentColor")

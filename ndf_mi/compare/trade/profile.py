@@ -169,7 +169,8 @@ def measure(run: Run, size: tuple[int, int], geometry: bool, tell: Callable[[str
         works = [first[number, index][0].work for number in range(len(views))]
         errors = [error for number in range(len(views)) if (error := first[number, index][1]) is not None]
         taken = statistics.mean(statistics.median(seconds[number, index]) for number in range(len(views)))
-        counts = {key: statistics.mean(getattr(work, key) for work in works) for key in ("rays", "tiles", "lanes", "candidates", "evaluated")}
+        names = ("rays", "tiles", "lanes", "candidates", "evaluated")
+        counts = {name: statistics.mean(getattr(work, name) for work in works) for name in names}
         error = statistics.mean(errors) if errors else None
         samples.append(Sample(setting.samples, setting.cutoff, **counts, seconds=taken, error=error))
     return Profile(samples, run.model.field.preset.strata)

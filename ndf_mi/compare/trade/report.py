@@ -11,10 +11,11 @@ from pathlib import Path
 
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
-from ndf_mi.compare import metrics, pictures, tables
+from ndf_mi.compare import metrics, tables
 from ndf_mi.compare.evaluate import LABELS
 from ndf_mi.compare.report_style import CSS
 from ndf_mi.compare.trade import memory
+from ndf_mi.compare.trade.charts import front_chart
 from ndf_mi.compare.trade.front import knee, pareto_front
 from ndf_mi.compare.trade.points import RUN
 from ndf_mi.compare.trade.report_pictures import knees
@@ -130,7 +131,7 @@ def _section(group: Group) -> str:
 def _chart(group: Group) -> str:
     points = [(row.label, row.frame_seconds or 0.0, value) for row, value in zip(group.rows, group.values, strict=True)]
     return (f'<div class="trade">'
-            f'{pictures.front_chart(points, group.front, group.knee, "seconds a frame", group.quality, "", group.reference)}</div>')
+            f'{front_chart(points, group.front, group.knee, "seconds a frame", group.quality, "", group.reference)}</div>')
 
 
 def _told(group: Group) -> str:
