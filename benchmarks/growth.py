@@ -53,6 +53,8 @@ from ndf_mi.compare.trade.setting import Setting  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 CURVES = ("rays", "samples", "triangles", "posing", "frames", "width")
+#: What is raised, where the curve does not have its name.
+RAISED = {"posing": "triangles", "width, fused": "width", "width, batched": "width"}
 
 
 @dataclass(frozen=True)
@@ -207,8 +209,8 @@ def write(points: list[Point], options: Options) -> None:
         for cost, unit, values in (("Time", "s", [float(np.median(point.seconds)) for point in mine]),
                                    ("Memory", "MiB", [max(point.memory, 1) / 2**20 for point in mine])):
             growth = fit_growth(x, values)
-            charts.append(growth_chart(growth, curve, unit, cost))
-            sentences.append(growth.sentence(cost, curve, unit))
+            charts.append(growth_chart(growth, RAISED.get(curve, curve), unit, cost))
+            sentences.append(growth.sentence(cost, RAISED.get(curve, curve), unit))
         print(f"{curve}\n  " + "\n  ".join(sentences))
         parts.append(f"<h2>{html.escape(curve.capitalize())}</h2>\n<div class=\"charts\">{''.join(charts)}</div>\n"
                      + "".join(f"<p>{html.escape(sentence)}</p>" for sentence in sentences))

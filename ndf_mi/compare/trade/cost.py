@@ -114,8 +114,8 @@ def _shares(samples: Sequence[Sample], strata: int) -> tuple[np.ndarray, np.ndar
 
 
 def _errors(samples: Sequence[Sample]) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms of sample counts and of errors; more samples never count as worse."""
-    known = sorted((s.samples, s.error) for s in samples if s.error is not None)
+    """Logarithms of sample counts and of the mean errors there; more samples never count as worse."""
+    counts = sorted({s.samples for s in samples if s.error is not None})
+    known = [float(np.mean([s.error for s in samples if s.samples == n and s.error is not None])) for n in counts]
     # Without an error at all the logarithm would be infinite: a millionth of an 8-bit step squared is none.
-    errors = np.minimum.accumulate([max(error, 1e-12) for _, error in known])
-    return np.log([n for n, _ in known]), np.log(errors)
+    return np.log(counts), np.log(np.minimum.accumulate(np.maximum(known, 1e-12)))

@@ -57,7 +57,8 @@ class Growth:
             return f"{cost} hardly changes from {reach}: {np.median(self.y):.3g} {unit}, within a factor of {spread:.2f}."
         fixed = "" if self.fixed < 0.01 * min(self.y) else f" above a fixed {self.fixed:.2g} {unit}"
         return (f"{cost} grows with the power {self.exponent:.2f} of the {raised}{fixed}, over {reach} "
-                f"(rms {100 * self.residual:.0f} % off; {self.y[0]:.3g} to {self.y[-1]:.3g} {unit}; the last decade alone has slope {self.slope:.2f}).")
+                f"(rms {100 * self.residual:.0f} % off; {self.y[0]:.3g} to {self.y[-1]:.3g} {unit}; "
+                f"the last decade alone has slope {self.slope:.2f}).")
 
 
 def fit_growth(x: Sequence[float], y: Sequence[float]) -> Growth:
