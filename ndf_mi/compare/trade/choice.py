@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ndf_mi.capture.camera import Camera
 from ndf_mi.compare.methods.ndf import read_history
 from ndf_mi.compare.trade.cost import CostModel, Sight
-from ndf_mi.compare.trade.profile import CUTOFFS, Profile, profile_of
+from ndf_mi.compare.trade.profile import CUTOFFS, Key, Profile, profile_of
 from ndf_mi.compare.trade.setting import Setting
 from ndf_mi.errors import InputError
 from ndf_mi.learn.options import TrainingOptions
@@ -139,6 +139,11 @@ def drawn_in_time(choice: Choice, run: Run, frame: int, camera: Camera, geometry
             break
     compiling = f", and {taken[0]:.3g} s the first time, with compiling" if len(taken) > 1 else ""
     tell(f"took {taken[-1]:.3g} s{compiling}")
+    off = taken[-1] / choice.seconds
+    if not 1 / (1 + TOLERANCE) <= off <= 1 + TOLERANCE:
+        kept = Key.of(run, (camera.w, camera.h), geometry).file
+        tell(f"that is {off:.2g} times what was believed: the machine is busy, or was when it was measured. Remove {kept} to measure "
+             "it anew.")
     return image
 
 

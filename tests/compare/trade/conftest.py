@@ -12,7 +12,7 @@ from ndf_mi.run import Run
 
 @pytest.fixture(scope="session")
 def trained_run(capture, tmp_path_factory) -> Run:
-    options = TrainingOptions(steps=60, rays=256, samples=32)
+    options = TrainingOptions(steps=60, rays=256, samples=32, max_depth=3)
     small = dataclasses.replace(preset("tiny"), grid_levels=2)
     trainer = start(tmp_path_factory.mktemp("trade") / "run", capture, small, options)
     train(trainer, quiet=True)

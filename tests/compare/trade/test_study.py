@@ -85,6 +85,7 @@ def test_path_tracing_is_a_trade_of_its_own(trained_run, capture, tmp_path, monk
     drawn = points.rendering_points
     monkeypatch.setattr(points, "rendering_points", lambda preset: [p for p in drawn(preset) if p.key in ("usual", "path-2", "path-shell")])
     monkeypatch.setattr("ndf_mi.compare.trade.drawing.CONVERGED_SPP", 32)
+    monkeypatch.setattr("ndf_mi.compare.trade.paths.LAYERS", 1)
     trade = make(trained_run, capture, tmp_path, Settings(("path",), views=1, timed=1, repeats=1, path_size=12)).run(silent)
     few, shell = trade.row("path-2"), trade.row("path-shell")
     # A field trained by quadrature is lit twice by paths: the truth says nothing about it.
