@@ -50,6 +50,7 @@ from ndf_mi.compare.trade.charts import growth_chart  # noqa: E402
 from ndf_mi.compare.trade.growth import fit_growth  # noqa: E402
 from ndf_mi.compare.trade.memory import MEANING, peak_memory  # noqa: E402
 from ndf_mi.compare.trade.setting import Setting  # noqa: E402
+from ndf_mi.model import networks_here  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 CURVES = ("rays", "samples", "triangles", "posing", "frames", "width")
@@ -151,7 +152,7 @@ def width(run: Run, camera: Camera) -> list[Point]:
     for layers in (8, 16, 32, 64, 128, 256):
         preset = dataclasses.replace(run.model.field.preset, density_layers=(layers,), colour_layers=(layers,))
         other = Run.create(run.path, preset, run.body, run.poses, 0, background=[0.0, 0.0, 0.0])
-        for form in ("fused", "batched"):
+        for form in (form for form in ("fused", "batched") if form in networks_here()):
             setting = Setting(64, cutoff=0.0, networks=form)
             found.append(Point(f"width, {form}", layers, lambda other=other, setting=setting: draw(other, camera, setting)))
     return found

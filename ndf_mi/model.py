@@ -23,6 +23,11 @@ _LONE = 1 << 31
 """Bit of a handle: the sample is one of the few that are evaluated in an empty cell. Triangles are fewer than this."""
 
 
+def networks_here() -> tuple[str, ...]:
+    """Those of `NETWORKS` that the active variant has."""
+    return tuple(name for name in NETWORKS if name != "fused" or "single" in variants.cooperative_precisions())
+
+
 class Model:
     """A neural deformable field around a body, before a pose is given.
 
@@ -66,8 +71,9 @@ class PosedModel:
     def __init__(
         self, model: Model, surface: PosedSurface, pose: mi.Float, occupancy: Occupancy | None = None, networks: str = "auto"
     ) -> None:
-        if networks not in NETWORKS:
-            raise InputError("networks", repr(networks), "one of " + ", ".join(NETWORKS))
+        known = networks_here()
+        if networks not in known:
+            raise InputError("networks", repr(networks), "one of " + ", ".join(known))
         preset = model.field.preset
         self.surface = surface
         self.bound = model.field.bind(pose)

@@ -6,13 +6,12 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-import mitsuba as mi
-
 from ndf_mi import variants
 from ndf_mi.compare.trade.setting import Setting
 from ndf_mi.field import PRESETS, Preset
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import QUADRATURE, relightable
+from ndf_mi.model import networks_here
 
 RENDERING = ("samples", "stratified", "termination", "evaluation", "precision", "rays", "size", "together")
 PATHS = ("path",)
@@ -86,10 +85,11 @@ def rendering_points(preset: Preset) -> list[Point]:
                for c in (0.0, 1e-3, 1e-2, 1e-1)]
     # What `auto` takes is what is usual; the other one is the point.
     width = max(*preset.density_layers, *preset.colour_layers, *preset.colour_linear, *preset.deformation_layers)
-    other, label = ("batched", "networks as matrix products") if width <= variants.fused_width() else ("fused", "networks fused")
-    turned.append(("evaluation", other, label, {"networks": other}))
-    turned += [("precision", "half", "fused networks in half precision", {"networks": "half"})] * hasattr(mi, "Float16")
-    turned += [("rays", f"rays-{n}", f"{n} rays a pixel", {"spp": n}) for n in (2, 4, 16)]
+    other = "batched" if width <= variants.fused_width() else "fused"
+    forms = {"batched": ("evaluation", "networks as matrix products"), "fused": ("evaluation", "networks as cooperative vectors"),
+             "half": ("precision", "cooperative vectors in half precision")}
+    turned += [(forms[form][0], form, forms[form][1], {"networks": form}) for form in (other, "half") if form in networks_here()]
+    turned += [("rays", f"rays-{n}", f"{n} rays a pixel", {"spp": n}) for n in (2, 4, 8)]
     turned += [("size", f"size-{s:g}", f"{s:g} of the width and height", {"size": s}) for s in (0.25, 0.5, 0.75)]
     turned += [("together", f"samples-{n}-cutoff-0.01-size-{s:g}", f"{n} samples, to 0.01" + (f", {s:g} of the size" if s < 1 else ""),
                 {"samples": n, "cutoff": 1e-2, "size": s}) for s in (0.5, 1.0) for n in (16, 32, 64)]

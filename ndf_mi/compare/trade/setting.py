@@ -12,7 +12,7 @@ from skimage.transform import resize
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.errors import InputError
-from ndf_mi.model import NETWORKS
+from ndf_mi.model import networks_here
 from ndf_mi.render.image import RECIPE, Image, ImageRenderer
 from ndf_mi.run import Run
 
@@ -39,8 +39,8 @@ class Setting:
 
     def __post_init__(self) -> None:
         self.renderer()
-        if self.networks not in NETWORKS:
-            raise InputError("networks", repr(self.networks), "one of " + ", ".join(NETWORKS))
+        if self.networks not in networks_here():
+            raise InputError("networks", repr(self.networks), "one of " + ", ".join(networks_here()))
         if not 0 < self.size <= 1:
             raise InputError("size", f"{self.size:g}", "a share in (0, 1]")
 
