@@ -19,9 +19,10 @@ from ndf_mi.learn.scattering import QUADRATURE
 from ndf_mi.render.image import Image
 from ndf_mi.run import Run
 
-#: Samples a ray that are offered: multiples of four, which is how many rounds a ray is looked at in. More than the last are no better to
-#: the eye; what time is left goes into more rays a pixel, which smooth edges.
-SAMPLES = range(4, 513, 4)
+#: Samples a ray that are offered: multiples of four, which is how many rounds a ray is looked at in, and no more than times need to be met
+#: closely, since each number compiles kernels of its own. More than the last are no better to the eye; what time is left goes into more
+#: rays a pixel, which smooth edges.
+SAMPLES = (*range(4, 32, 4), *range(32, 64, 8), *range(64, 128, 16), *range(128, 256, 32), *range(256, 513, 64))
 #: A view is looked at with so many samples a ray on a quarter of its width and height.
 _LOOK, _SHRINK = 32, 4
 #: How far off the time asked for a picture may be.

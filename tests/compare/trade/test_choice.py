@@ -57,7 +57,7 @@ def choices(budget=None, own=1e-3):
 @pytest.mark.parametrize("budget", [0.0508, 0.06, 0.09, 0.3, 7.0])
 def test_a_time_is_filled_and_not_exceeded(budget):
     best = within_budget(choices(budget), budget)
-    assert 0.95 * budget < best.seconds <= budget
+    assert 0.8 * budget < best.seconds <= budget
     better = [c for c in choices(budget) if c.seconds <= budget and c.psnr > best.psnr and c.setting.spp >= best.setting.spp]
     assert not better
     assert (best.setting.spp > 1) == (budget > 0.15)
@@ -76,8 +76,8 @@ def test_an_error_takes_the_quickest_that_keeps_it():
     quickest = within_error(choices(), 0.5)
     assert quickest.loss <= 0.5
     assert all(c.loss > 0.5 for c in choices() if c.seconds < quickest.seconds)
-    # 10 log10(1 + (1/n²)/1e-3) = 0.5 dB at n = 90.5.
-    assert quickest.setting == Setting(92, CUTOFFS[0])
+    # 10 log10(1 + (1/n²)/1e-3) = 0.5 dB at n = 90.5: the next number offered.
+    assert quickest.setting == Setting(96, CUTOFFS[0])
     with pytest.raises(InputError, match="at least"):
         within_error(choices(own=1e-9), 0.5)
 
