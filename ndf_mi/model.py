@@ -9,13 +9,23 @@ from ndf_mi import variants
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.coordinates import coordinates
+from ndf_mi.errors import InputError
 from ndf_mi.field import Field, Preset
 from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.field.sample import FieldSample
 from ndf_mi.projection import PosedSurface, Surface
 
+NETWORKS = ("auto", "batched", "fused", "half")
+"""How evaluated code runs the networks where nothing is differentiated: as matrix products over all samples, as cooperative vectors, as
+these in half precision; `auto` takes the quicker of the first two (:func:`ndf_mi.variants.fused_width`)."""
+
 _LONE = 1 << 31
 """Bit of a handle: the sample is one of the few that are evaluated in an empty cell. Triangles are fewer than this."""
+
+
+def networks_here() -> tuple[str, ...]:
+    """Those of `NETWORKS` that the active variant has."""
+    return tuple(name for name in NETWORKS if name != "fused" or "single" in variants.cooperative_precisions())
 
 
 class Model:
@@ -52,9 +62,18 @@ class PosedModel:
         surface: the posed body, reusable as long as the pose stays.
         pose: flat (3·J) axis-angles.
         occupancy: in training, leaves out what is empty; its `observe` is the caller's to call.
+        networks: one of `NETWORKS`.
+
+    Raises:
+        InputError: there is no such way to run networks.
     """
 
-    def __init__(self, model: Model, surface: PosedSurface, pose: mi.Float, occupancy: Occupancy | None = None) -> None:
+    def __init__(
+        self, model: Model, surface: PosedSurface, pose: mi.Float, occupancy: Occupancy | None = None, networks: str = "auto"
+    ) -> None:
+        known = networks_here()
+        if networks not in known:
+            raise InputError("networks", repr(networks), "one of " + ", ".join(known))
         preset = model.field.preset
         self.surface = surface
         self.bound = model.field.bind(pose)
@@ -66,6 +85,7 @@ class PosedModel:
         self._inside = preset.band_inside
         self._fade = preset.band_fade
         self._occupancy = occupancy
+        self._networks = networks
 
     def near(self, x: mi.Point3f) -> mi.Bool:
         """False only where x is outside the band for certain; cheap."""
@@ -117,18 +137,21 @@ class PosedModel:
         u = self._coordinates(x, found, active)
         d = dr.select(active, d, mi.Vector3f(0.0, 0.0, 1.0))
         n = dr.select(active, found.normal, mi.Normal3f(0.0, 0.0, 1.0))
-        # Where nothing is differentiated, small networks are quicker as cooperative vectors.
-        fused = symbolic or (self.bound.width <= variants.fused_width() and not dr.grad_enabled(list(u), d) and not self.bound.attached)
+        fused = symbolic or (self._prefers_fused() and not dr.grad_enabled(list(u), d) and not self.bound.attached)
         if fused and not symbolic and not self.bound.packed:
             # Attached all the same: it may serve for more than the call under way.
             with dr.resume_grad():
-                self.bound.pack()
+                self.bound.pack(half=self._networks == "half")
         sigma, colour = self.bound.fused(u, d, n, active) if fused else self.bound.batched(u, d, n)
         if fused and not symbolic:
             # Each of the arrays would otherwise be a kernel of its own with the whole network in it.
             dr.eval(sigma, colour, l, uv, found.normal)
         sigma = dr.select(active, sigma * self._fading(l), 0.0)
         return FieldSample(sigma, colour, mi.Point3f(uv.x, uv.y, l), found.normal)
+
+    def _prefers_fused(self) -> bool:
+        """Whether cooperative vectors are wanted where either form would do: small networks are quicker so, forward."""
+        return self.bound.width <= variants.fused_width() if self._networks == "auto" else self._networks != "batched"
 
     def _triangle(self, handle: mi.UInt32) -> mi.UInt32:
         return handle if self._occupancy is None else handle & (_LONE - 1)

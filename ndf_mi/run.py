@@ -135,19 +135,20 @@ class Run:
         """Flat (3·J) axis-angles at a frame, the root's three zero."""
         return mi.Float(np.ascontiguousarray(self.poses.pose[self.poses.index(frame)], dtype=np.float32).ravel())
 
-    def posed(self, frame: int) -> PosedModel:
-        """The field at a frame, with the weights that it has now (gradients flow to them)."""
-        return PosedModel(self.model, self.surface(frame), self.pose_vector(frame))
+    def posed(self, frame: int, networks: str = "auto") -> PosedModel:
+        """The field at a frame, with the weights that it has now (gradients flow to them); `networks` as in :class:`PosedModel`."""
+        return PosedModel(self.model, self.surface(frame), self.pose_vector(frame), networks=networks)
 
-    def posed_as(self, vertices: np.ndarray, pose: np.ndarray) -> PosedModel:
+    def posed_as(self, vertices: np.ndarray, pose: np.ndarray, networks: str = "auto") -> PosedModel:
         """The field around a body in any pose.
 
         Args:
             vertices: (V, 3) of the posed body, world, in metres.
             pose: (J, 3) axis-angles of the joints relative to their parents, in radians, the root's zero.
+            networks: as in :class:`PosedModel`.
         """
         surface = self.model.surface.pose(mi.Float(np.ascontiguousarray(vertices, np.float32).ravel()), self.model.band)
-        return PosedModel(self.model, surface, mi.Float(np.ascontiguousarray(pose, np.float32).ravel()))
+        return PosedModel(self.model, surface, mi.Float(np.ascontiguousarray(pose, np.float32).ravel()), networks=networks)
 
 
 def _read_config(path: Path) -> dict[str, Any]:

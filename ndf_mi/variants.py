@@ -38,6 +38,12 @@ def fused_width() -> int:
     return 64 if mi.variant() == LLVM else 0
 
 
+def cooperative_precisions() -> tuple[str, ...]:
+    """The precisions that cooperative vectors have here, of `single` and `half`: GPUs have no single."""
+    mi = _working("mitsuba")
+    return ("single", "half") if mi.variant() == LLVM else ("half",)
+
+
 def preferred() -> str:
     """The variant that suits this machine: CUDA where a GPU is usable, else LLVM; ``NDF_MI_VARIANT`` overrides.
 

@@ -46,6 +46,10 @@ def register() -> None:
          * - stratified
            - |bool|
            - Shift each ray's samples by a random part of their distance, drawn from the sampler. (Default: false)
+         * - hidden
+           - |float|
+           - Early termination: samples that less than this share of the light gets to, past those before them, are left out. It is found
+             from the densities alone, evaluated once more for it, and pays where gradients are taken. (Default: 0, none is left out)
          * - aovs
            - |string|
            - What else to output, separated by commas: depth (distance along the ray), opacity, uvl (the expected u, v and l),
@@ -69,6 +73,9 @@ def register() -> None:
             super().__init__(props)
             self.samples = properties.count(props, "ndf_quadrature", "samples", 128)
             self.stratified = bool(props.get("stratified", False))
+            self.hidden = float(props.get("hidden", 0.0))
+            if not 0 <= self.hidden < 1:
+                raise InputError("ndf_quadrature: hidden", f"{self.hidden:g}", "a transmittance in [0, 1)")
             self.aovs = properties.aovs(props, "ndf_quadrature", CHANNELS)
 
         def aov_names(self) -> list[str]:
@@ -99,7 +106,7 @@ def register() -> None:
             if offset is not None:
                 jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples * model.strata)
             geometry = "uvl" in self.aovs or "normal" in self.aovs
-            return quadrature(model, part, self.samples, jitter=jitter, scale=scale, geometry=geometry)
+            return quadrature(model, part, self.samples, jitter=jitter, scale=scale, hidden=self.hidden, geometry=geometry)
 
         def _aov_values(self, passes: list[Radiance]) -> list[mi.Float]:
             values: list[mi.Float] = []
@@ -112,7 +119,8 @@ def register() -> None:
             return values
 
         def to_string(self) -> str:
-            return f"NDFQuadrature[samples = {self.samples}, stratified = {self.stratified}, aovs = {self.aovs}]"
+            return (f"NDFQuadrature[samples = {self.samples}, stratified = {self.stratified}, hidden = {self.hidden}, "
+                    f"aovs = {self.aovs}]")
 
     mi.register_integrator("ndf_quadrature", lambda props: NDFQuadrature(props))
 

@@ -5,7 +5,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from ndf_mi.model import PosedModel
+from ndf_mi import variants
+from ndf_mi.errors import InputError
+from ndf_mi.model import PosedModel, networks_here
 from ndf_mi.render.quadrature import quadrature
 
 
@@ -81,6 +83,26 @@ def test_symbolic_and_batched_evaluation_agree(run):
     inside = inside.numpy()
     assert 0.1 < inside.mean() < 0.9 and (fused.sigma.numpy()[~inside] == 0).all()
     np.testing.assert_allclose(fused.colour.numpy()[:, inside], batched.colour.numpy()[:, inside], atol=1e-5)
+
+
+def test_networks_run_in_every_form_to_the_same_values(run):
+    """In half precision up to its 11 bits, which sums of some tens of products carry on."""
+    rng = np.random.default_rng(1)
+    x = mi.Point3f(rng.uniform(-0.35, 0.35, (3, 5_000)).astype(np.float32))
+    d = dr.normalize(mi.Vector3f(rng.normal(size=(3, 5_000)).astype(np.float32)))
+    found = {}
+    for networks in networks_here():
+        posed = run.posed(0, networks)
+        handle, inside = posed.locate(x, mi.Bool(True))
+        sample = posed.evaluate(x, d, handle, inside)
+        assert posed.bound.packed == (networks != "batched" and (networks != "auto" or variants.fused_width() > 0))
+        found[networks] = np.stack([sample.sigma.numpy() / 10, *sample.colour.numpy()])[:, inside.numpy()]
+    for networks in {"auto", "fused"} & set(found):
+        np.testing.assert_allclose(found[networks], found["batched"], atol=1e-4)
+    error = np.abs(found["half"] - found["batched"])
+    assert 1e-5 < error.max() < 0.03 and error.mean() < 3e-3
+    with pytest.raises(InputError, match="networks"):
+        run.posed(0, "quick")
 
 
 def test_lanes_without_a_meaning_do_not_poison_gradients(run):

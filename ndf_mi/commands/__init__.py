@@ -44,6 +44,7 @@ ENTRIES = (
     Entry("compare", "compare", "Compare", "compare a trained field with a textured mesh; write report.html"),
     Entry("relight", "relight", "Relight", "show a run in another light, beside a diffuse textured mesh"),
     Entry("ablate", "ablate", "Ablate", "train every ablation on a capture; write their table and report.html"),
+    Entry("tradeoff", "tradeoff", "Tradeoff", "measure what speed costs in accuracy on a run; write report.html"),
     Entry("render", "render", "Render", "render a scene or a trained run to an image"),
     Entry("animate", "animate", "Animate", "render a trained run in any motion, as a video"),
     Entry("demo", "demo", "Demo", "all of the above on a small capture, in minutes"),

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import tyro
 
 from ndf_mi.errors import InputError
+
+if TYPE_CHECKING:
+    from ndf_mi.capture.camera import Camera
+    from ndf_mi.render.image import Image
+    from ndf_mi.run import Run
 
 
 @dataclass
@@ -32,8 +38,25 @@ class Render:
     spp: int | None = None
     """Samples a pixel: by default the scene's own; for a run 1, through pixels' centres."""
 
-    samples: int = 128
-    """Run: candidate samples a ray."""
+    samples: int | None = None
+    """Run: candidate samples a ray; 128 by default."""
+
+    cutoff: float | None = None
+    """Run: early termination, the transmittance up to which a ray is followed; 0.0001 by default, 0 follows every ray to its end."""
+
+    stratified: bool = False
+    """Run: shift each ray's samples by a random part of their distance: noise in place of bands."""
+
+    networks: Literal["auto", "batched", "fused", "half"] | None = None
+    """Run: networks as matrix products over all samples, as cooperative vectors, or as these in half precision; by default the quicker
+    of the first two."""
+
+    budget: str | None = None
+    """Run: choose all of that, and --spp, for the best picture in a time such as 0.5s, 300ms or 2min, once kernels are compiled. From a
+    profile of this machine, which is measured on first use and kept."""
+
+    error: str | None = None
+    """Run: choose the quickest picture that gives up no more than so much, such as 0.5dB, of the PSNR that the run reaches."""
 
     define: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-D"]), tyro.conf.UseAppendAction] = ()
     """Scene: a parameter of the scene as NAME=VALUE, e.g. run=runs/demo; may be given several times."""
@@ -57,8 +80,10 @@ class Render:
         check_suffix(self.out)
         if self.size is not None and min(self.size) < 1:
             raise InputError("--size", f"{self.size[0]} {self.size[1]}", "two whole numbers above 0")
-        if self.samples < 1:
+        if self.samples is not None and self.samples < 1:
             raise InputError("--samples", str(self.samples), "a whole number above 0")
+        if self.cutoff is not None and not 0 <= self.cutoff < 1:
+            raise InputError("--cutoff", f"{self.cutoff:g}", "a transmittance in [0, 1)")
         if self.spp is not None and self.spp < 1:
             raise InputError("--spp", str(self.spp), "a whole number above 0")
         if not -90 < self.elevation < 90:
@@ -75,12 +100,12 @@ class Render:
     def _run(self) -> None:
         from ndf_mi.capture.capture import Capture
         from ndf_mi.capture.viewpoint import framing
-        from ndf_mi.render.image import ImageRenderer
         from ndf_mi.render.output import write_exr, write_png
         from ndf_mi.run import Run
 
         if self.define:
             raise InputError("--define", "it together with a run", "it only with a scene")
+        budget, error = self._wish()
         run = Run.load(self.source)
         frame = int(run.poses.frames[0]) if self.frame is None else self.frame
         row = run.poses.index(frame)
@@ -99,7 +124,7 @@ class Render:
             if not -90 < self.elevation < 90:
                 raise InputError("--elevation", f"{self.elevation:g}", "degrees between -90 and 90")
             camera = framing(run.poses.vertices[row], *(self.size or (512, 512)), self.azimuth, self.elevation)
-        image = ImageRenderer(self.samples, spp=self.spp or 1)(run.posed(frame), camera, geometry=self.out.suffix.lower() == ".exr")
+        image = self._image(run, frame, camera, budget, error)
         if image.u is None or image.normal is None:
             write_png(self.out, image.over(run.background))
             return
@@ -108,11 +133,43 @@ class Render:
         channels |= {f"normal.{n}": image.normal[..., i] for i, n in enumerate("XYZ")}
         write_exr(self.out, channels)
 
+    def _wish(self) -> tuple[float | None, float | None]:
+        """The seconds and the dB asked for. Raises InputError where they, or one of them and what they choose, are given together."""
+        from ndf_mi.compare.trade.choice import parse_decibel, parse_seconds
+
+        if self.budget is not None and self.error is not None:
+            raise InputError("--budget", "it together with --error", "one of them")
+        for wish in ("budget", "error"):
+            chosen = [name for name in (*self._turned(), "spp") if getattr(self, name) not in (None, False)]
+            if getattr(self, wish) is not None and chosen:
+                raise InputError(f"--{wish}", f"it together with --{chosen[0]}", f"one of them: --{wish} chooses --{chosen[0]}")
+        return (None if self.budget is None else parse_seconds(self.budget), None if self.error is None else parse_decibel(self.error))
+
+    def _turned(self) -> tuple[str, ...]:
+        """The options that say how a run is drawn, at None or False where they are not given."""
+        return ("samples", "cutoff", "stratified", "networks")
+
+    def _image(self, run: Run, frame: int, camera: Camera, budget: float | None, error: float | None) -> Image:
+        from ndf_mi.compare.trade.choice import choose, drawn_in_time
+        from ndf_mi.compare.trade.setting import Setting
+
+        def tell(text: str) -> None:
+            print(text, file=sys.stderr, flush=True)
+
+        geometry = self.out.suffix.lower() == ".exr"
+        if budget is None and error is None:
+            given = {name: getattr(self, name) for name in (*self._turned(), "spp") if getattr(self, name) is not None}
+            return Setting(**given).image(run, frame, camera, geometry)
+        choice = choose(run, frame, camera, geometry, tell, budget=budget, error=error)
+        tell(choice.told())
+        return drawn_in_time(choice, run, frame, camera, geometry, tell)
+
     def _scene(self) -> None:
         from ndf_mi.render.output import write_exr, write_png
         from ndf_mi.render.scene import load_scene, render_scene
 
-        mine = {"capture": None, "samples": 128, "azimuth": 0.0, "elevation": 5.0}
+        mine = {"capture": None, "azimuth": 0.0, "elevation": 5.0, "budget": None, "error": None, "stratified": False,
+                "samples": None, "cutoff": None, "networks": None}
         for name, default in mine.items():
             if getattr(self, name) != default:
                 raise InputError(f"--{name}", "it together with a scene", "it only with a run")

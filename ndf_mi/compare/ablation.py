@@ -15,10 +15,10 @@ from ndf_mi.compare.evaluate import choose_views, evaluate, measured, to_render
 from ndf_mi.compare.flicker import choose_sequences
 from ndf_mi.compare.methods.ndf import NeuralField
 from ndf_mi.compare.results import MethodResult, Results
+from ndf_mi.compare.trained import expect_options, read_options_of, trained
 from ndf_mi.errors import InputError
 from ndf_mi.field import Preset
 from ndf_mi.learn.ablations import ABLATIONS, ablation
-from ndf_mi.learn.loop import expect_capture, resume, start, train
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.run import Run
 
@@ -87,7 +87,7 @@ class Study:
         self._sequences = choose_sequences(self._capture, settings.sequence)
         for name in self.names:
             if (self.folder / name / "config.json").exists():
-                self._expect(Run.load(self.folder / name), *self._wanted[name])
+                expect_options(Run.load(self.folder / name), self._capture, *self._wanted[name])
         known = Results.read(self.folder / RESULTS) if (self.folder / RESULTS).exists() else Results()
         # Images measured before are of use whatever is asked for now. Rows are kept only where they were measured alike.
         self._known = {method.key: method for method in known.methods}
@@ -106,7 +106,8 @@ class Study:
         """
         count = len(to_render(self._views, self._sequences))
         for number, name in enumerate(self.names, start=1):
-            run = self._trained(name, lambda: training(name, number, len(self.names)))  # noqa: B023
+            run = trained(self.folder / name, self._capture, *self._wanted[name],
+                          lambda: training(name, number, len(self.names)))  # noqa: B023
             method = NeuralField(run, self._settings.samples)
             result = MethodResult(name, ablation(name).title, method.fingerprint(), method.facts())
             known = self._known.get(name)
@@ -124,24 +125,6 @@ class Study:
             write_ablation_report(self.folder / REPORT, self.results, self._capture, self.folder / PICTURES)
         return self.results
 
-    def _trained(self, name: str, begin: Callable[[], None]) -> Run:
-        folder = self.folder / name
-        if (folder / "config.json").exists():
-            run = Run.load(folder)
-            if run.config.get("trained", {}).get("done"):
-                return run
-            trainer = resume(folder, self._capture) if (folder / "state.safetensors").exists() else None
-        else:
-            trainer = None
-        if trainer is None:
-            # A run without a training state was stopped before its first checkpoint: nothing of it is worth keeping.
-            for file in (folder / "config.json", folder / "metrics.jsonl", *folder.glob("events.*")):
-                file.unlink(missing_ok=True)
-            trainer = start(folder, self._capture, *self._wanted[name])
-        begin()
-        train(trainer)
-        return trainer.run
-
     def _alike(self, about: dict[str, Any]) -> bool:
         """Whether rows that go with `about` were trained and measured as is asked for now, on the same capture."""
         wanted = self.results.about
@@ -149,7 +132,7 @@ class Study:
         # Studies written before there were protocols were measured by ours.
         settings = {"protocol": protocols.OURS.name, **about.get("settings", {})}
         try:
-            preset, training = _read_options(about, "")
+            preset, training = read_options_of(about, "")
         except InputError:
             return False
         return (digest, settings, preset, training) == (
@@ -165,21 +148,10 @@ class Study:
             return False
         try:
             run = Run.load(self.folder / row.key)
-            self._expect(run, *ablation(row.key).apply(*self._full))
+            expect_options(run, self._capture, *ablation(row.key).apply(*self._full))
         except InputError:
             return False
         return NeuralField(run, self._settings.samples).fingerprint() == row.fingerprint
-
-    def _expect(self, run: Run, preset: Preset, options: TrainingOptions) -> None:
-        """Raises InputError unless the run is of these options and of the capture."""
-        expect_capture(run, self._capture)
-        wanted = (preset.to_dict(), options.to_dict())
-        for key, have, want in zip(("preset", "training"), _read_options(run.config, f"{run.path / 'config.json'}: "), wanted, strict=True):
-            other = sorted(option for option in want if have[option] != want[option])
-            if other:
-                raise InputError(f"{run.path / 'config.json'}: {key}", f"{other[0]} = {have[other[0]]!r}",
-                                 f"{want[other[0]]!r}, as asked for now",
-                                 "Give the options that it was started with, or take another folder.")
 
     def _about(self, command: str, preset: Preset, options: TrainingOptions) -> dict[str, Any]:
         splits = self._capture.splits
@@ -194,16 +166,3 @@ class Study:
             "command": command,
             "machine": machine.describe(),
         }
-
-
-def _read_options(document: dict[str, Any], where: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Preset and training options of a document with both, an option that did not exist when it was written at its value of then.
-
-    Raises:
-        InputError: either is missing or wrong; `where` and the key are in front.
-    """
-    for key in ("preset", "training"):
-        if not isinstance(document.get(key), dict):
-            raise InputError(f"{where}{key}", repr(document.get(key)), "the options that it was started with")
-    return (Preset.from_dict(document["preset"], f"{where}preset").to_dict(),
-            TrainingOptions.from_dict(document["training"], f"{where}training").to_dict())

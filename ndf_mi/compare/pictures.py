@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -14,8 +15,8 @@ from PIL import Image
 
 COLOUR_MAP = "magma"
 #: Stands for the page's text colour in drawings, which follows the reader's light or dark theme.
-_INK = "#123456"
-_LINES = ("#3b82c4", "#d97a2b", "#7a9a3a", "#b0559e", "#c9a227", "#4aa3a2")
+INK = "#123456"
+LINES = ("#3b82c4", "#d97a2b", "#7a9a3a", "#b0559e", "#c9a227", "#4aa3a2")
 
 
 def data_uri(image: np.ndarray) -> str:
@@ -65,29 +66,40 @@ def line_chart(
         title: above the chart.
         reference: (label, x, y) of a dashed line in the text's colour.
     """
-    figure = Figure(figsize=(4.6, 2.9))
-    FigureCanvasSVG(figure)
-    axes = figure.add_subplot()
+    figure, axes = chart(x_label, y_label, title)
     for index, (label, x, y) in enumerate(series):
         # A point alone has no line.
         marker = "o" if len(x) < 3 else None
-        axes.plot(x, y, label=label, linewidth=1.6, marker=marker, color=_LINES[index % len(_LINES)])
+        axes.plot(x, y, label=label, linewidth=1.6, marker=marker, color=LINES[index % len(LINES)])
     if reference is not None:
         label, x, y = reference
         marker = "_" if len(x) < 3 else None
-        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", marker=marker, color=_INK, alpha=0.6)
-    axes.set_xlabel(x_label, color=_INK)
-    axes.set_ylabel(y_label, color=_INK)
-    axes.set_title(title, color=_INK, fontsize=10, loc="left")
-    axes.tick_params(colors=_INK, labelsize=9)
-    axes.grid(color=_INK, alpha=0.15, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(_INK)
+        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", marker=marker, color=INK, alpha=0.6)
     if len(series) > 1 or reference is not None:
-        axes.legend(frameon=False, labelcolor=_INK, fontsize=9)
+        axes.legend(frameon=False, labelcolor=INK, fontsize=9)
+    return as_svg(figure)
+
+
+def chart(x_label: str, y_label: str, title: str, size: tuple[float, float] = (4.6, 2.9)) -> tuple[Figure, Any]:
+    """An empty chart and its axes."""
+    figure = Figure(figsize=size)
+    FigureCanvasSVG(figure)
+    axes = figure.add_subplot()
+    axes.set_xlabel(x_label, color=INK)
+    axes.set_ylabel(y_label, color=INK)
+    axes.set_title(title, color=INK, fontsize=10, loc="left")
+    axes.tick_params(colors=INK, labelsize=9)
+    axes.grid(color=INK, alpha=0.15, linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(INK)
+    return figure, axes
+
+
+def as_svg(figure: Figure) -> str:
+    """The figure as an `<svg>` element; what is drawn in `INK` has the page's text colour."""
     figure.tight_layout()
     stream = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": "ndf-mi", "svg.fonttype": "none", "font.family": "sans-serif"}):
         figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
     text = stream.getvalue()
-    return text[text.index("<svg") :].replace(_INK, "currentColor")
+    return text[text.index("<svg") :].replace(INK, "currentColor")

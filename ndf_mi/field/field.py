@@ -74,6 +74,7 @@ class BoundField:
         self._encoding = field._encoding
         self._grid = field.grid
         self._packed: dict[str, tuple[Any, Any]] | None = None
+        self._half = False
         self._packed_detached: dict[str, tuple[Any, Any]] | None = None
         self.width = max(layer.outputs for name, layer in field.layers.items() if not name.startswith("pose"))
 
@@ -109,7 +110,7 @@ class BoundField:
         """
         if self._packed is None:
             raise RuntimeError("BoundField.fused: call pack() first, outside of symbolic code")
-        return self._evaluate(_Fused(self._packed), u, d, n, active)
+        return self._evaluate(_Fused(self._packed, self._half), u, d, n, active)
 
     @property
     def packed(self) -> bool:
@@ -122,9 +123,14 @@ class BoundField:
         tensors = [part.array for pair in self._tensors.values() for part in pair]
         return any(dr.grad_enabled(value) for value in (*tensors, self._grid) if value is not None)
 
-    def pack(self) -> None:
-        """Lays the weights out for :meth:`fused`; attached, so that gradients reach the field's weights."""
-        self._packed = _pack(self._tensors)
+    def pack(self, half: bool = False) -> None:
+        """Lays the weights out for :meth:`fused`; attached, so that gradients reach the field's weights.
+
+        Args:
+            half: weights, features and sums of the layers in half precision (11 bits, at most 65,504); encodings, activations of density
+                and colour, and what is returned stay in single.
+        """
+        self._packed, self._half = _pack(self._tensors, half), half
 
     def density(self, u: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
         """σ alone of :meth:`batched`, detached and evaluated, by whichever form is the quicker; for evaluated code.
@@ -199,10 +205,11 @@ class BoundField:
         return h
 
 
-def _pack(tensors: dict[str, tuple[mi.TensorXf, mi.TensorXf]]) -> dict[str, tuple[Any, Any]]:
+def _pack(tensors: dict[str, tuple[mi.TensorXf, mi.TensorXf]], half: bool = False) -> dict[str, tuple[Any, Any]]:
     """Matrices and biases as views of one packed array."""
+    kind = mi.TensorXf16 if half else mi.TensorXf
     flat = [t if t.ndim == 2 and t.shape[1] > 1 else dr.ravel(t) for pair in tensors.values() for t in pair]
-    views = nn.pack(*[mi.TensorXf(t) for t in flat], layout="training")
+    views = nn.pack(*[kind(t) for t in flat], layout="training")
     return {name: (views[2 * i], views[2 * i + 1]) for i, name in enumerate(tensors)}
 
 
@@ -276,11 +283,12 @@ class _Batched:
 class _Fused:
     """Cooperative vectors, one a lane."""
 
-    def __init__(self, views: dict[str, tuple[Any, Any]]) -> None:
+    def __init__(self, views: dict[str, tuple[Any, Any]], half: bool = False) -> None:
         self._views = views
+        self._kind = mi.Float16 if half else mi.Float
 
     def enter(self, *parts: Any) -> Any:
-        return nn.CoopVec(*[entry for part in parts for entry in part])
+        return nn.CoopVec(*[self._kind(entry) for part in parts for entry in part])
 
     def linear(self, name: str, x: Any) -> Any:
         weight, bias = self._views[name]
@@ -290,8 +298,8 @@ class _Fused:
         return dr.maximum(x, 0)
 
     def rows(self, x: Any) -> list[mi.Float]:
-        return list(x)
+        return [mi.Float(entry) for entry in x]
 
     def head(self, x: Any) -> tuple[mi.Float, Any]:
         entries = list(x)
-        return entries[0], nn.CoopVec(*entries[1:])
+        return mi.Float(entries[0]), nn.CoopVec(*entries[1:])

@@ -17,12 +17,14 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
+from ndf_mi.errors import InputError
 from ndf_mi.render.quadrature import quadrature
-from ndf_mi.render.sampling import box_interval
+from ndf_mi.render.sampling import QUANTUM, box_interval, rounded
 from ndf_mi.render.strata import VolumeField
 
 LANES = 1 << 19
-"""Candidate samples looked at at once. Every tile has as many rays as make this number, so that one set of kernels serves all."""
+"""Candidate samples looked at at once. Every tile of an image has as many rays as make this number, or as there are, so that one set of
+kernels serves all."""
 
 RECIPE = 2
 """Raised whenever the same field at the same settings gives other pictures than before."""
@@ -41,15 +43,34 @@ class RaySource(Protocol):
 
 
 @dataclass
+class Work:
+    """What an image took, in numbers that depend on no machine.
+
+    Attributes:
+        rays: that met the field's box, over all rays of a pixel.
+        tiles: launches, and `lanes` in all of them, padding included.
+        candidates: samples looked at.
+        evaluated: samples that reached the networks.
+    """
+
+    rays: int = 0
+    tiles: int = 0
+    lanes: int = 0
+    candidates: int = 0
+    evaluated: int = 0
+
+
+@dataclass
 class Image:
     """An image of a field, numpy. `linear` (h, w, 3) premultiplied linear colour; `opacity` and `depth` (h, w); `u` (h, w, 3) the
-    expected (u, v, l) and `normal` (h, w, 3), zero where nothing is seen, or None where not asked for."""
+    expected (u, v, l) and `normal` (h, w, 3), zero where nothing is seen, or None where not asked for; `work` what it took."""
 
     linear: np.ndarray
     opacity: np.ndarray
     depth: np.ndarray
     u: np.ndarray | None
     normal: np.ndarray | None
+    work: Work
 
     def over(self, background: np.ndarray) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1], composited in linear over an sRGB background (3,)."""
@@ -67,28 +88,42 @@ class ImageRenderer:
     rounds: int = 4
     """Rounds at most: as many as divide `samples`."""
     cutoff: float = 1e-4
-    """Transmittance up to which a ray goes on to the next round; 0 follows every ray to its end."""
+    """Early termination: transmittance up to which a ray goes on to the next round; 0 follows every ray to its end."""
+    stratified: bool = False
+    """Shift each ray's samples by a random part of their distance instead of taking strata's middles: noise in place of bands. The
+    shift depends on the pixel alone."""
+
+    def __post_init__(self) -> None:
+        for key in ("samples", "spp", "rounds"):
+            if getattr(self, key) < 1:
+                raise InputError(key, str(getattr(self, key)), "a whole number above 0")
+        if not 0 <= self.cutoff < 1:
+            raise InputError("cutoff", f"{self.cutoff:g}", "a transmittance in [0, 1)")
 
     def __call__(self, volume: VolumeField, camera: RaySource, geometry: bool = False) -> Image:
         """Renders `volume` as `camera` sees it; the same every time."""
         pixels = self._pixels(volume, camera)
         out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
+        work = Work(rays=self.spp * len(pixels))
         with dr.suspend_grad():
-            for place in range(self.spp):
-                out += self._rounds(volume, camera, pixels, _place(place), geometry) / self.spp
+            for number in range(self.spp):
+                out += self._rounds(volume, camera, pixels, number, geometry, work) / self.spp
         # What is only there where something is seen is a mean over that, not over the pixel.
         out[4:] /= np.maximum(out[3], 1e-6)
         image = np.moveaxis(out.reshape(-1, camera.h, camera.w), 0, -1)
         return Image(image[..., :3], image[..., 3], image[..., 4],
-                     image[..., 5:8] if geometry else None, image[..., 8:11] if geometry else None)
+                     image[..., 5:8] if geometry else None, image[..., 8:11] if geometry else None, work)
 
     def _rounds(
-        self, volume: VolumeField, camera: RaySource, pixels: np.ndarray, place: tuple[float, float], geometry: bool
+        self, volume: VolumeField, camera: RaySource, pixels: np.ndarray, ray: int, geometry: bool, work: Work
     ) -> np.ndarray:
-        """Colour, opacity, and times opacity depth and, if asked for, (u, v, l) and normal of one ray a pixel, (5 or 11, h·w)."""
-        rounds = max(n for n in range(1, min(self.rounds, self.samples) + 1) if self.samples % n == 0)
-        count = self.samples // rounds
-        tile = max(LANES // (count * volume.strata), 1)
+        """Colour, opacity, and times opacity depth and, if asked for, (u, v, l) and normal of one ray a pixel, (5 or 11, h·w).
+
+        Args:
+            ray: which of its rays.
+            work: to which it is added.
+        """
+        rounds, count, tile = self.tiling(volume.strata, len(pixels))
         out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
         transmittance = np.ones(camera.h * camera.w, dtype=np.float32)
         for number in range(rounds):
@@ -96,10 +131,16 @@ class ImageRenderer:
                 chosen = pixels[start : start + tile]
                 padded = np.full(tile, chosen[0], dtype=np.uint32)
                 padded[: len(chosen)] = chosen
-                rays = self._rays(camera, mi.UInt32(padded), place)
+                index = mi.UInt32(padded)
+                rays = self._rays(camera, index, _place(ray))
                 # The padding's rays end where they start, and so cost next to nothing.
                 rays.maxt = dr.select(dr.arange(mi.UInt32, tile) < dr.opaque(mi.UInt32, len(chosen)), dr.inf, 0.0)
-                seen = quadrature(volume, rays, self.samples, window=(number * count, count), geometry=geometry)
+                jitter = dr.repeat(_shift(index, ray), count * volume.strata) if self.stratified else None
+                seen = quadrature(volume, rays, self.samples, jitter=jitter, window=(number * count, count), geometry=geometry)
+                work.tiles += 1
+                work.lanes += tile * count * volume.strata
+                work.candidates += len(chosen) * count * volume.strata
+                work.evaluated += seen.evaluated
                 rows = [*seen.colour, seen.opacity, seen.depth]
                 if seen.u is not None and seen.normal is not None:
                     rows += [*seen.u, *seen.normal]
@@ -111,6 +152,17 @@ class ImageRenderer:
             if self.cutoff > 0:
                 pixels = pixels[transmittance[pixels] > self.cutoff]
         return out
+
+    def tiling(self, strata: int, rays: int) -> tuple[int, int, int]:
+        """Rounds, samples a ray of each, and rays that are looked at at once, where so many meet a field with that factor `strata`."""
+        rounds = max(n for n in range(1, min(self.rounds, self.samples) + 1) if self.samples % n == 0)
+        count = self.samples // rounds
+        # Padding costs little a lane, but where few samples of few rays are wanted it would be most lanes.
+        return rounds, count, min(max(LANES // (count * strata), 1), rounded(rays, QUANTUM))
+
+    def met(self, volume: VolumeField, camera: RaySource) -> int:
+        """How many rays of an image meet the field's box: what its time is proportional to. Cheap."""
+        return self.spp * len(self._pixels(volume, camera))
 
     @staticmethod
     def _rays(camera: RaySource, index: mi.UInt32, place: tuple[float, float] = (0.5, 0.5)) -> mi.Ray3f:
@@ -130,3 +182,8 @@ def _place(number: int) -> tuple[float, float]:
     """Where in its pixel ray `number` goes: the centre first, then on along the R2 sequence (Roberts 2018), whose steps are powers of
     the inverse of the plastic number."""
     return (0.5 + number * 0.7548776662466927) % 1.0, (0.5 + number * 0.5698402909980532) % 1.0
+
+
+def _shift(pixel: mi.UInt32, ray: int) -> mi.Float:
+    """A number in [0, 1) for a pixel and the number of its ray. The default of four rounds is biased over neighbouring pixels."""
+    return mi.sample_tea_float32(pixel, dr.opaque(mi.UInt32, ray), 8)

@@ -57,7 +57,7 @@ def quadrature(
     them reach the network, is detached.
 
     Args:
-        jitter: N·samples·strata numbers in [0, 1) for stratified sampling; None for the strata's middles. Not with `window`.
+        jitter: N numbers in [0, 1) a stratum looked at, as in :func:`ndf_mi.render.strata.sample_strata`; None for the strata's middles.
         window: first of the samples and how many of them to look at: the part of the ray that those strata cover. None for all.
         scale: factor on the density.
         hidden: transmittance below which samples are left out, as in :func:`ndf_mi.render.strata.sample_strata`; 0 for never.

@@ -92,7 +92,7 @@ def sample_strata(
     Args:
         ray: N rays, directions of unit length, that end at `maxt`.
         samples: candidates a ray, times the field's own `strata`.
-        jitter: N·samples·strata numbers in [0, 1), where in its stratum each candidate lies; None for the middles. Not with `window`.
+        jitter: N numbers in [0, 1) a stratum looked at, where in it the candidate lies, a ray's beside one another; None for the middles.
         window: first of the samples and how many of them to look at: the part of the ray that those strata cover. None for all.
         active: N; the others count as missing the box.
         hidden: samples that less than this share of the light gets to, past those before, are left out: for where an evaluation is much

@@ -74,6 +74,13 @@ def test_quadrature_agrees_with_the_closed_form_of_emission(make_constant_run, s
     assert np.abs(image - expected).mean() < 1e-3
 
 
+def test_what_is_hidden_is_left_out_up_to_its_share_of_the_light(make_constant_run):
+    scene = scene_of(make_constant_run(60.0), size=24, samples=200, background=0.25)
+    cut = mi.load_dict({"type": "ndf_quadrature", "samples": 200, "hidden": 0.02})
+    whole, part = mi.render(scene, spp=4, seed=1).numpy(), mi.render(scene, integrator=cut, spp=4, seed=1).numpy()
+    assert 0 < np.abs(whole - part).max() < 0.02
+
+
 @pytest.mark.parametrize("integrator", ["volpath", "volpathmis", "prbvolpath"])
 def test_scattering_agrees_with_mitsubas_grid_medium(make_run, integrator):
     """The field's density and albedo, baked into a grid, give the same mean light within the noise."""
@@ -239,7 +246,8 @@ def test_wrong_parameters_of_the_medium_are_named(make_run, change, words):
 
 
 def test_wrong_parameters_of_the_integrator_are_named(make_run):
-    for change, word in (({"aovs": "albedo"}, "albedo"), ({"samples": 0}, "samples"), ({"sample": 3}, "sample")):
+    for change, word in (({"aovs": "albedo"}, "albedo"), ({"samples": 0}, "samples"), ({"hidden": 1.0}, "hidden"),
+                         ({"sample": 3}, "sample")):
         with pytest.raises(Exception, match=word):
             mi.load_dict({"type": "ndf_quadrature", **change})
     empty = mi.load_dict({"type": "scene", "integrator": {"type": "ndf_quadrature"}, "sensor": {"type": "perspective"}})

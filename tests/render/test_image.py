@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from ndf_mi.errors import InputError
 from ndf_mi.field.sample import FieldSample
 from ndf_mi.render.image import ImageRenderer
 
@@ -81,3 +82,37 @@ def test_depth_of_a_silhouette_is_a_mean_over_what_is_seen():
     # The ball's front lies between 3 and 4 metres from the camera, and its normals have unit length at every ray.
     assert ((image.depth[edge] > 3) & (image.depth[edge] < 4.1)).all()
     assert (np.linalg.norm(image.normal[edge], axis=-1) > 0.8).all()
+
+
+def test_shifted_samples_are_the_same_every_time_and_right_on_average():
+    """A shift that is uniform over a stratum makes the mean over many rays the integral: here of a ball that one sample a ray can miss."""
+    first = ImageRenderer(2, spp=64, stratified=True, cutoff=0.0)(Ball(1.0), Parallel())
+    again = ImageRenderer(2, spp=64, stratified=True, cutoff=0.0)(Ball(1.0), Parallel())
+    assert (first.linear == again.linear).all()
+    middles = ImageRenderer(2, spp=64, cutoff=0.0)(Ball(1.0), Parallel())
+    truth = ImageRenderer(256, spp=64, cutoff=0.0)(Ball(1.0), Parallel())
+    near = (truth.opacity > 0.1) & (truth.opacity < 0.6)
+    error, other = (np.sqrt(np.mean(np.square((image.opacity - truth.opacity)[near]))) for image in (first, middles))
+    assert error < 0.5 * other
+
+
+def test_shifts_do_not_depend_on_rounds():
+    whole = ImageRenderer(16, rounds=1, cutoff=0.0, stratified=True)(Ball(3.0), Parallel())
+    parts = ImageRenderer(16, rounds=4, cutoff=0.0, stratified=True)(Ball(3.0), Parallel())
+    np.testing.assert_allclose(parts.linear, whole.linear, atol=3e-5)
+
+
+def test_work_counts_what_was_asked_for():
+    ball = Ball(0.3)
+    renderer = ImageRenderer(16, cutoff=0.0)
+    work = renderer(ball, Parallel()).work
+    # Ten of the twelve columns, and rows, of pixels look at the cube around the ball.
+    assert 100 <= work.rays == renderer.met(ball, Parallel()) <= 144
+    assert work.candidates == 16 * work.rays and work.evaluated == ball.asked and work.tiles == 4
+    assert work.lanes == 4 * renderer.tiling(1, work.rays)[2] * 4 >= work.candidates
+
+
+@pytest.mark.parametrize("change", [{"samples": 0}, {"spp": 0}, {"cutoff": 1.0}, {"cutoff": -0.1}])
+def test_what_cannot_be_rendered_with_is_refused(change):
+    with pytest.raises(InputError):
+        ImageRenderer(**change)

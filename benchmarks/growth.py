@@ -1,0 +1,228 @@
+"""How time and memory of a picture grow with rays, samples, triangles, frames and the networks' width, each over a decade or more.
+
+    python benchmarks/growth.py RUN -o growth --repeats 5
+
+Curves, all by quadrature, one raised and the rest held (`--size` pixels, 64 samples, the run's preset and frame):
+
+    rays        pictures of the run from 32 × 32 pixels on; counted are the rays that meet the body's box
+    samples     candidate samples a ray
+    triangles   a sphere of finer and finer triangles in place of the body, with the run's preset, untrained
+    posing      the same, only posing the body: boxes, cells and search tree
+    frames      so many successive frames of the run, each posed anew; poses are kept, up to 128 of them
+    width       hidden layers of the networks, as cooperative vectors and as matrix products; untrained, each ray to its end
+
+Every point is measured once a repeat, all of all curves in an order drawn anew, after a round that compiles kernels. Seconds are medians.
+Memory is what Dr.Jit had allocated at most beyond what lay there before. Writes growth.csv and growth.html with plots and fits of
+y = fixed + factor·x^exponent, and prints a sentence a curve.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import html
+import io
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import trimesh
+import tyro
+
+from ndf_mi import variants
+
+variants.use()
+
+import drjit as dr  # noqa: E402
+import mitsuba as mi  # noqa: E402
+
+from ndf_mi import files  # noqa: E402
+from ndf_mi.body.body import Body  # noqa: E402
+from ndf_mi.body.poses import Poses  # noqa: E402
+from ndf_mi.capture.camera import Camera  # noqa: E402
+from ndf_mi.capture.viewpoint import framing  # noqa: E402
+from ndf_mi.compare import machine  # noqa: E402
+from ndf_mi.compare.report_style import CSS  # noqa: E402
+from ndf_mi.compare.trade.charts import growth_chart  # noqa: E402
+from ndf_mi.compare.trade.growth import fit_growth  # noqa: E402
+from ndf_mi.compare.trade.memory import MEANING, peak_memory  # noqa: E402
+from ndf_mi.compare.trade.setting import Setting  # noqa: E402
+from ndf_mi.model import networks_here  # noqa: E402
+from ndf_mi.run import Run  # noqa: E402
+
+CURVES = ("rays", "samples", "triangles", "posing", "frames", "width")
+#: What is raised, where the curve does not have its name.
+RAISED = {"posing": "triangles", "width, fused": "width", "width, batched": "width"}
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """A trained run."""
+
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for the table and the plots."""
+
+    curves: tuple[str, ...] = CURVES
+    """Which curves."""
+
+    size: int = 128
+    """Pixels on a side where they are not what is raised."""
+
+    repeats: int = 5
+    """Times that every point is timed."""
+
+
+@dataclass
+class Point:
+    """One point of a curve: what is raised, and what is timed there."""
+
+    curve: str
+    x: float
+    draw: Callable[[], None]
+    seconds: list[float] = field(default_factory=list)
+    memory: int = 0
+
+
+def main(options: Options) -> None:
+    """Measures, writes and prints."""
+    run = Run.load(options.run)
+    camera = framing(run.poses.vertices[0], options.size, options.size)
+    made = {"rays": lambda: rays(run), "samples": lambda: samples(run, camera), "frames": lambda: frames(run, options.size),
+            "triangles": lambda: triangles(run, options.size, posing=False), "posing": lambda: triangles(run, options.size, posing=True),
+            "width": lambda: width(run, camera)}
+    points = [point for curve in options.curves for point in made[curve]()]
+    for number, point in enumerate(points, start=1):
+        print(f"\rcompiling and counting: {number} of {len(points)}", end="", flush=True)
+        _, point.memory = peak_memory(point.draw)
+    for repeat in range(options.repeats):
+        for index in np.random.default_rng(repeat).permutation(len(points)):
+            begun = time.perf_counter()
+            points[index].draw()
+            dr.sync_thread()
+            points[index].seconds.append(time.perf_counter() - begun)
+        print(f"\rtimed: {repeat + 1} of {options.repeats}" + 30 * " ", end="", flush=True)
+    print("\n")
+    write(points, options)
+
+
+def rays(run: Run) -> list[Point]:
+    """Larger and larger pictures."""
+    found = []
+    for size in (32, 48, 64, 96, 128, 192, 256, 384, 512):
+        camera = framing(run.poses.vertices[0], size, size)
+        met = Setting(64).renderer().met(run.posed(int(run.poses.frames[0])), camera)
+        found.append(Point("rays", met, lambda camera=camera: draw(run, camera, Setting(64))))
+    return found
+
+
+def samples(run: Run, camera: Camera) -> list[Point]:
+    """More and more samples a ray."""
+    return [Point("samples", n, lambda n=n: draw(run, camera, Setting(n))) for n in (8, 16, 32, 64, 128, 256, 512, 1024)]
+
+
+def triangles(run: Run, size: int, posing: bool) -> list[Point]:
+    """Spheres as large as a person is wide, of finer and finer triangles."""
+    found = []
+    for subdivisions in range(2, 8):
+        ball = sphere(run, subdivisions)
+        vertices = ball.poses.vertices[0]
+        camera = framing(vertices, size, size)
+        flat = mi.Float(vertices.ravel())
+        one = (lambda ball=ball, flat=flat: pose(ball, flat)) if posing else (
+            lambda ball=ball, camera=camera: draw(ball, camera, Setting(64, cutoff=0.0)))
+        found.append(Point("posing" if posing else "triangles", len(ball.body.faces), one))
+    return found
+
+
+def frames(run: Run, size: int) -> list[Point]:
+    """Successive frames, from a run that has posed none yet."""
+    numbers = [int(frame) for frame in run.poses.frames]
+    return [Point("frames", n, lambda n=n: sequence(run, numbers[:n], size)) for n in (1, 2, 4, 8, 16, 32) if n <= len(numbers)]
+
+
+def width(run: Run, camera: Camera) -> list[Point]:
+    """Wider and wider networks in both forms."""
+    found = []
+    for layers in (8, 16, 32, 64, 128, 256):
+        preset = dataclasses.replace(run.model.field.preset, density_layers=(layers,), colour_layers=(layers,))
+        other = Run.create(run.path, preset, run.body, run.poses, 0, background=[0.0, 0.0, 0.0])
+        for form in (form for form in ("fused", "batched") if form in networks_here()):
+            setting = Setting(64, cutoff=0.0, networks=form)
+            found.append(Point(f"width, {form}", layers, lambda other=other, setting=setting: draw(other, camera, setting)))
+    return found
+
+
+def draw(run: Run, camera: Camera, setting: Setting) -> None:
+    """A picture of the run's first frame, in memory."""
+    setting.image(run, int(run.poses.frames[0]), camera)
+
+
+def pose(run: Run, vertices: mi.Float) -> None:
+    """The body at a pose, with all that searches need."""
+    surface = run.model.surface.pose(vertices, run.model.band)
+    dr.eval(surface.bbox.min, surface.closest(mi.Point3f(0.0, 0.0, 0.0), mi.Bool(True)))
+
+
+def sequence(run: Run, numbers: list[int], size: int) -> None:
+    """Pictures of frames, by a run that shares the field but has kept no pose."""
+    fresh = Run(run.path, run.config, run.body, run.poses, run.model)
+    for number in numbers:
+        camera = framing(run.poses.vertices[run.poses.index(number)], size, size)
+        Setting(64).renderer()(fresh.posed(number), camera)
+
+
+def sphere(run: Run, subdivisions: int) -> Run:
+    """A ball of radius 0.3 m and 20·4^n triangles, with the run's preset."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.3)
+    vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
+    corners = vertices[faces.ravel()] / 0.3
+    u = (0.5 + np.arctan2(corners[:, 0], corners[:, 2]) / (2 * np.pi)).reshape(-1, 3)
+    # Triangles across the meridian where u jumps go on beyond 1.
+    u[(u.max(1) - u.min(1) > 0.5)[:, None] & (u < 0.5)] += 1
+    uv = np.stack([u.ravel() / 1.5, 0.5 + np.arcsin(np.clip(corners[:, 1], -1, 1)) / np.pi], -1)
+    body = Body(faces=faces, uv=np.clip(uv, 0, 1).astype(np.float32), uv_faces=np.arange(faces.size, dtype=np.int32).reshape(-1, 3),
+                template=vertices)
+    nothing = np.zeros((1, 3), np.float32)
+    poses = Poses(frames=np.zeros(1, np.int32), vertices=vertices[None], pose=np.zeros((1, 1, 3), np.float32), root_rotation=nothing,
+                  translation=nothing)
+    return Run.create(run.path, run.model.field.preset, body, poses, 0, background=[0.0, 0.0, 0.0])
+
+
+def write(points: list[Point], options: Options) -> None:
+    """The table, the page, and the sentences on the terminal."""
+    stream = io.StringIO()
+    sheet = csv.writer(stream, lineterminator="\n")
+    sheet.writerow(["curve", "x", "seconds", "seconds_least", "seconds_most", "peak_bytes"])
+    for point in points:
+        sheet.writerow([point.curve, point.x, np.median(point.seconds), min(point.seconds), max(point.seconds), point.memory])
+    files.write_text(options.out / "growth.csv", stream.getvalue())
+    parts = []
+    for curve in dict.fromkeys(point.curve for point in points):
+        mine = [point for point in points if point.curve == curve]
+        x = [point.x for point in mine]
+        charts, sentences = [], []
+        for cost, unit, values in (("Time", "s", [float(np.median(point.seconds)) for point in mine]),
+                                   ("Memory", "MiB", [max(point.memory, 1) / 2**20 for point in mine])):
+            growth = fit_growth(x, values)
+            charts.append(growth_chart(growth, RAISED.get(curve, curve), unit, cost))
+            sentences.append(growth.sentence(cost, RAISED.get(curve, curve), unit))
+        print(f"{curve}\n  " + "\n  ".join(sentences))
+        parts.append(f"<h2>{html.escape(curve.capitalize())}</h2>\n<div class=\"charts\">{''.join(charts)}</div>\n"
+                     + "".join(f"<p>{html.escape(sentence)}</p>" for sentence in sentences))
+    facts = "".join(f"<tr><th>{key}</th><td>{html.escape(value)}</td></tr>" for key, value in machine.describe().items())
+    files.write_text(options.out / "growth.html", (
+        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>Growth</title>\n<style>{CSS}</style>\n</head>\n<body>\n'
+        f'<h1>How time and memory grow</h1>\n<p class="soft">Medians of {options.repeats} repeats, all points of all curves interleaved. '
+        f"Memory is {html.escape(MEANING)}</p>\n" + "\n".join(parts) + f'\n<table class="facts"><tbody>{facts}</tbody></table>\n'
+        "</body>\n</html>\n"))
+    print(f"\n{options.out / 'growth.html'}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

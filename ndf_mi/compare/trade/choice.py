@@ -1,0 +1,191 @@
+"""Choosing how to draw a picture: the best one in a time, or the quickest one within an error."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from ndf_mi.capture.camera import Camera
+from ndf_mi.compare.methods.ndf import read_history
+from ndf_mi.compare.trade.cost import CostModel, Sight
+from ndf_mi.compare.trade.profile import CUTOFFS, Key, Profile, profile_of
+from ndf_mi.compare.trade.setting import Setting
+from ndf_mi.errors import InputError
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.scattering import QUADRATURE
+from ndf_mi.render.image import Image
+from ndf_mi.run import Run
+
+#: Samples a ray that are offered: multiples of four, which is how many rounds a ray is looked at in, and no more than times need to be met
+#: closely, since each number compiles kernels of its own. More than the last are no better to the eye; what time is left goes into more
+#: rays a pixel, which smooth edges.
+SAMPLES = (*range(4, 32, 4), *range(32, 64, 8), *range(64, 128, 16), *range(128, 256, 32), *range(256, 513, 64))
+#: A view is looked at with so many samples a ray on a quarter of its width and height.
+_LOOK, _SHRINK = 32, 4
+#: How far off the time asked for a picture may be.
+TOLERANCE = 0.2
+
+_UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A setting, and what is believed of it.
+
+    Attributes:
+        setting: what to draw with.
+        seconds: that a picture takes, its kernels compiled.
+        psnr: box PSNR in dB against the same field drawn to convergence.
+        loss: dB of PSNR against the truth that it gives up to that; None where the field's own error is not known.
+    """
+
+    setting: Setting
+    seconds: float
+    psnr: float
+    loss: float | None
+
+    def told(self) -> str:
+        """For people, in one sentence."""
+        s = self.setting
+        rays = "one ray" if s.spp == 1 else f"{s.spp} rays"
+        given = "" if self.loss is None else f", {self.loss:.2f} dB of what it reaches against the truth given up"
+        return (f"{s.samples} samples a ray, {rays} a pixel, rays followed to a transmittance of {s.cutoff:g}: believed to take "
+                f"{self.seconds:.3g} s, {self.psnr:.1f} dB from convergence{given}")
+
+
+def parse_seconds(text: str) -> float:
+    """Seconds of a time such as ``0.5s``, ``300ms`` or ``2min``. Raises InputError for anything else."""
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*(ms|s|min)\s*", text)
+    value = float(found[1]) * _UNITS[found[2]] if found else 0.0
+    if not 0 < value < math.inf:
+        raise InputError("--budget", repr(text), "a time above 0 such as 0.5s, 300ms or 2min")
+    return value
+
+
+def parse_decibel(text: str) -> float:
+    """dB of a loss such as ``0.5dB``. Raises InputError for anything else."""
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*dB\s*", text, re.IGNORECASE)
+    value = float(found[1]) if found else 0.0
+    if not 0 < value < math.inf:
+        raise InputError("--error", repr(text), "a loss above 0 such as 0.5dB")
+    return value
+
+
+def own_error(run: Run) -> float | None:
+    """The mean squared error in sRGB that a run's training ended with, by its log; None where it says nothing.
+
+    Held-out images have a larger one: of those a setting gives up less than is believed.
+    """
+    training = run.config.get("training")
+    by_quadrature = not isinstance(training, dict) or training.get("integrator", TrainingOptions().integrator) == QUADRATURE
+    history = read_history(run.path) if by_quadrature else []
+    psnr = history[-1].get("psnr") if history else None
+    return 10 ** (-psnr / 10) if isinstance(psnr, (int, float)) and math.isfinite(psnr) else None
+
+
+def choose(run: Run, frame: int, camera: Camera, geometry: bool, tell: Callable[[str], None], *, budget: float | None = None,
+           error: float | None = None) -> Choice:
+    """The best setting whose picture takes `budget` seconds, or the quickest that gives up no more than `error` dB.
+
+    Args:
+        run, frame, camera: what is drawn; the view is looked at, small, for how much of it the performer fills.
+        geometry: whether (u, v, l) and normals are drawn, too.
+        tell: told what is being done.
+        budget, error: one of them.
+
+    Raises:
+        InputError: the quickest picture takes longer than `budget`, no setting is within `error`, or the run's own error, which that is
+            relative to, is not known.
+    """
+    own = own_error(run)
+    if error is not None and own is None:
+        raise InputError(f"{run.path / 'metrics.jsonl'}", "no error that a training by quadrature ended with",
+                         "one, for --error to be relative to", "`--budget` needs none.")
+    profile = profile_of(run, (camera.w, camera.h), geometry, tell)
+    model = profile.model()
+    sight = look(run, frame, camera, profile, model)
+    found = [Choice(setting, model.seconds(setting, sight), *_believed(model.error(setting), own))
+             for setting in _offered(model, sight, budget)]
+    if budget is not None:
+        return within_budget(found, budget)
+    assert error is not None
+    return within_error(found, error)
+
+
+def look(run: Run, frame: int, camera: Camera, profile: Profile, model: CostModel) -> Sight:
+    """How a view differs from those that the profile was measured in."""
+    setting = Setting(_LOOK, CUTOFFS[0])
+    small = camera.scaled(max(camera.w // _SHRINK, 1), max(camera.h // _SHRINK, 1))
+    work = setting.image(run, frame, small).work
+    rays = setting.renderer().met(run.posed(frame), camera)
+    total = work.rays * setting.samples * profile.strata
+    if total == 0:
+        return Sight(rays)
+    looked, evaluated = model.shares(setting)
+    return Sight(rays, work.candidates / total / max(looked, 1e-9), work.evaluated / total / max(evaluated, 1e-9))
+
+
+def drawn_in_time(choice: Choice, run: Run, frame: int, camera: Camera, geometry: bool, tell: Callable[[str], None]) -> Image:
+    """The picture, and what it took. One that took longer than believed by more than `TOLERANCE` has compiled kernels: it is drawn again,
+    so that what is told is what another frame takes."""
+    taken: list[float] = []
+    for _ in range(2):
+        begun = time.perf_counter()
+        image = choice.setting.image(run, frame, camera, geometry)
+        taken.append(time.perf_counter() - begun)
+        if taken[-1] <= (1 + TOLERANCE) * choice.seconds:
+            break
+    compiling = f", and {taken[0]:.3g} s the first time, with compiling" if len(taken) > 1 else ""
+    tell(f"took {taken[-1]:.3g} s{compiling}")
+    off = taken[-1] / choice.seconds
+    if not 1 / (1 + TOLERANCE) <= off <= 1 + TOLERANCE:
+        kept = Key.of(run, (camera.w, camera.h), geometry).file
+        tell(f"that is {off:.2g} times what was believed: the machine is busy, or was when it was measured. Remove {kept} to measure "
+             "it anew.")
+    return image
+
+
+def within_budget(choices: list[Choice], budget: float) -> Choice:
+    """The one of least error among those that fit. Raises InputError, with the least time there is, where none does."""
+    fitting = [choice for choice in choices if choice.seconds <= budget]
+    if not fitting:
+        least = min(choices, key=lambda choice: choice.seconds)
+        raise InputError("--budget", f"{budget:g} s", f"at least {_up(least.seconds)} s for a picture of this size on this machine",
+                         "A smaller --size takes less.")
+    most = max(choice.setting.spp for choice in fitting)
+    return max((c for c in fitting if c.setting.spp == most), key=lambda c: (c.psnr, -c.seconds))
+
+
+def within_error(choices: list[Choice], error: float) -> Choice:
+    """The quickest one among those that give up no more. Raises InputError, with the least loss there is, where none does."""
+    fitting = [choice for choice in choices if choice.loss is not None and choice.loss <= error]
+    if not fitting:
+        least = min(choice.loss for choice in choices if choice.loss is not None)
+        raise InputError("--error", f"{error:g} dB", f"at least {_up(least)} dB")
+    return min(fitting, key=lambda choice: choice.seconds)
+
+
+def _offered(model: CostModel, sight: Sight, budget: float | None) -> Iterator[Setting]:
+    """One ray a pixel; and where a budget is more than its dearest picture takes, as many rays as fill it."""
+    yield from (Setting(samples, cutoff) for cutoff in model.cutoffs for samples in SAMPLES)
+    dearest = Setting(SAMPLES[-1], min(model.cutoffs))
+    if budget is None or model.seconds(dearest, sight) >= budget:
+        return
+    each = model.seconds(dearest, sight) - float(model.coefficients[0])
+    rays = math.ceil((budget - float(model.coefficients[0])) / each) if each > 0 else 1
+    if rays > 1:
+        yield from (Setting(samples, dearest.cutoff, spp=rays) for samples in SAMPLES)
+
+
+def _believed(error: float, own: float | None) -> tuple[float, float | None]:
+    """PSNR against convergence, and the loss against the truth: errors of rendering and of the model are taken as independent."""
+    return -10 * math.log10(error), None if own is None else 10 * math.log10(1 + error / own)
+
+
+def _up(value: float) -> str:
+    """Two digits, rounded up: what is said to suffice does."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1) if value > 0 else 1.0
+    return f"{math.ceil(value / step) * step:.2g}"

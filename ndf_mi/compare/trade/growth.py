@@ -1,0 +1,87 @@
+"""How a cost grows with something: a power above what is fixed, fitted to measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+_EXPONENTS = np.round(np.arange(0.05, 3.0001, 0.01), 2)
+#: A cost that grows by less than this factor over the whole range is told as one that does not grow.
+_LEVEL = 1.15
+
+
+@dataclass(frozen=True)
+class Growth:
+    """y = fixed + factor·x^exponent.
+
+    Attributes:
+        x, y: what was raised, and what it cost; positive.
+        fixed, factor: not negative.
+        exponent: from 0.05 to 3.
+        residual: root mean square of the relative distance of the measurements from the fit.
+        slope: exponent of a power alone through the measurements of the last decade of x: what the cost looks like from outside.
+    """
+
+    x: tuple[float, ...]
+    y: tuple[float, ...]
+    fixed: float
+    factor: float
+    exponent: float
+    residual: float
+    slope: float
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """The fit at some x."""
+        return self.fixed + self.factor * np.asarray(x, dtype=np.float64) ** self.exponent
+
+    @property
+    def level(self) -> bool:
+        """Whether the cost hardly grows at all."""
+        return max(self.y) < _LEVEL * min(self.y)
+
+    def formula(self, digits: int = 2) -> str:
+        """The fit, in short."""
+        if self.level:
+            return f"about {np.median(self.y):.{digits}g}"
+        power = f"∝ x^{self.exponent:.2f}"
+        return power if self.fixed < 0.01 * min(self.y) else f"{self.fixed:.{digits}g} + {power}"
+
+    def sentence(self, cost: str, raised: str, unit: str) -> str:
+        """What the curve says, in a sentence: “Time grows as rays^1.02 above a fixed 0.08 s (…).”"""
+        reach = f"{min(self.x):,g} to {max(self.x):,g} {raised}"
+        if self.level:
+            spread = max(self.y) / min(self.y)
+            return f"{cost} hardly changes from {reach}: {np.median(self.y):.3g} {unit}, within a factor of {spread:.2f}."
+        fixed = "" if self.fixed < 0.01 * min(self.y) else f" above a fixed {self.fixed:.2g} {unit}"
+        return (f"{cost} grows with the power {self.exponent:.2f} of the {raised}{fixed}, over {reach} "
+                f"(rms {100 * self.residual:.0f} % off; {self.y[0]:.3g} to {self.y[-1]:.3g} {unit}; "
+                f"the last decade alone has slope {self.slope:.2f}).")
+
+
+def fit_growth(x: Sequence[float], y: Sequence[float]) -> Growth:
+    """Fits by least squares of the relative distance: for each exponent the other two are a linear problem.
+
+    Args:
+        x: three or more values above 0, rising.
+        y: as many above 0.
+
+    Raises:
+        ValueError: they are not.
+    """
+    a, b = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    if a.ndim != 1 or a.shape != b.shape or len(a) < 3 or not (a > 0).all() or not (b > 0).all() or not (np.diff(a) > 0).all():
+        raise ValueError("growth needs three or more rising values above 0, and as many costs above 0")
+    scaled = a / a[-1]
+    best: tuple[float, float, float, float] | None = None
+    for exponent in _EXPONENTS:
+        (fixed, factor), distance = nnls(np.stack([1 / b, scaled**exponent / b], axis=1), np.ones(len(b)))
+        if best is None or distance < best[0]:
+            best = distance, fixed, factor, float(exponent)
+    assert best is not None
+    distance, fixed, factor, exponent = best
+    last = a >= a[-1] / 10 * (1 - 1e-9)
+    slope = float(np.polyfit(np.log(a[last]), np.log(b[last]), 1)[0]) if last.sum() > 1 else float("nan")
+    return Growth(tuple(a.tolist()), tuple(b.tolist()), fixed, factor / a[-1] ** exponent, exponent, distance / len(b) ** 0.5, slope)

@@ -1,0 +1,70 @@
+"""A run path traced by Mitsuba's `volpath`, the medium bounded in one way or another."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.body.box import BOX_PADDING, padded_box
+from ndf_mi.capture.camera import Camera
+from ndf_mi.compare.methods.lit import Lit
+from ndf_mi.compare.methods.lit_field import LAYERS
+from ndf_mi.compare.trade.points import PathSetting
+from ndf_mi.learn.rays import box_pixels
+from ndf_mi.run import Run
+
+#: Paths a pixel of the picture that stands for convergence.
+CONVERGED_SPP = 512
+
+
+class PathTracer:
+    """Draws a run under some light, a scene for each frame and way to bound the medium, kept.
+
+    Args:
+        run: the run.
+        lights: entries of a scene's dictionary.
+        max_depth: longest path, as Mitsuba counts.
+    """
+
+    def __init__(self, run: Run, lights: dict[str, Any], max_depth: int) -> None:
+        self._run = run
+        self._lights = lights
+        self._integrator = mi.load_dict({"type": "volpath", "max_depth": max_depth, "hide_emitters": True})
+        self._scenes: dict[tuple[str, int], tuple[mi.Scene, float]] = {}
+
+    def picture(self, setting: PathSetting, frame: int, camera: Camera, seed: int) -> np.ndarray:
+        """(h, w, 3) float32 sRGB in [0, 1] over the run's background."""
+        scene, _ = self._scene(setting.bounds, frame)
+        low, high = self._box(frame)
+        lit = Lit(scene, self._integrator, self._run.background, setting.spp)
+        picture, _ = lit.render(camera, box_pixels(camera, low, high), seed)
+        dr.sync_thread()
+        return picture
+
+    def loading(self, setting: PathSetting, frame: int) -> float:
+        """Seconds that the scene took to make: a frame of an animation takes them, too."""
+        return self._scene(setting.bounds, frame)[1]
+
+    def _scene(self, bounds: str, frame: int) -> tuple[mi.Scene, float]:
+        if (bounds, frame) not in self._scenes:
+            begun = time.perf_counter()
+            scene = mi.load_dict({"type": "scene", **self._lights, "performer": self._performer(bounds, frame)})
+            self._scenes[bounds, frame] = scene, time.perf_counter() - begun
+        return self._scenes[bounds, frame]
+
+    def _performer(self, bounds: str, frame: int) -> dict[str, Any]:
+        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame}
+        if bounds == "box":
+            low, high = self._box(frame)
+            place = mi.ScalarTransform4f().translate((0.5 * (low + high)).tolist()).scale((0.5 * (high - low)).tolist())
+            return {"type": "cube", "to_world": place, "bsdf": {"type": "null"}, "interior": medium}
+        return {"type": "ndf_shell", "layers": LAYERS if bounds == "nested" else 0, "interior": medium}
+
+    def _box(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        vertices = self._run.poses.vertices[self._run.poses.index(frame)]
+        low, high = padded_box(vertices, max(BOX_PADDING, self._run.model.band))
+        return np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)

@@ -1,0 +1,180 @@
+"""What a run costs and gives up on this machine, measured once and kept until run, machine or versions change.
+
+A profile is a file in `$XDG_CACHE_HOME/ndf-mi/profiles`, or `~/.cache/ndf-mi/profiles`, one for each run, size of picture and machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ndf_mi import files
+from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.viewpoint import framing
+from ndf_mi.compare import machine, metrics
+from ndf_mi.compare.trade.cost import CostModel, Sample
+from ndf_mi.compare.trade.setting import Setting, converged, field_digest
+from ndf_mi.errors import InputError
+from ndf_mi.json_input import is_finite
+from ndf_mi.render.image import Image
+from ndf_mi.run import Run
+
+FORMAT = "ndf-profile"
+VERSION = 1
+#: Longer side in pixels of the pictures measured at most: times of larger ones follow from their rays.
+LARGEST = 512
+CUTOFFS = (1e-4, 1e-2)
+#: Samples a ray, by cutoff: those measured on half of the width and height, with errors, and those on all of it.
+HALF = {CUTOFFS[0]: (8, 16, 32, 64, 128, 256), CUTOFFS[1]: (8, 32, 128)}
+WHOLE = {CUTOFFS[0]: (16, 64, 256), CUTOFFS[1]: (32,)}
+AZIMUTHS = (0.0, 120.0)
+REPEATS = 3
+
+
+@dataclass(frozen=True)
+class Key:
+    """What a profile holds for. It is looked up by run, size and machine, and is stale where anything else differs."""
+
+    run: str
+    digest: str
+    size: tuple[int, int]
+    geometry: bool
+    machine: dict[str, str]
+
+    @classmethod
+    def of(cls, run: Run, size: tuple[int, int], geometry: bool) -> Key:
+        """The key of now. `geometry` is whether (u, v, l) and normals are drawn, too, which takes longer."""
+        return cls(str(run.path.resolve()), field_digest(run), size, geometry, machine.describe())
+
+    @property
+    def file(self) -> Path:
+        """Where the profile is kept."""
+        fixed = [self.run, self.size, self.geometry, *(self.machine[name] for name in ("Processor", "Cores", "Variant"))]
+        return cache_folder() / "profiles" / f"{hashlib.sha256(repr(fixed).encode()).hexdigest()[:24]}.json"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON values."""
+        return asdict(self) | {"size": list(self.size)}
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What was measured."""
+
+    samples: list[Sample]
+    strata: int
+
+    def model(self) -> CostModel:
+        """Time and error as functions of the setting."""
+        return CostModel(self.samples, self.strata)
+
+
+def cache_folder() -> Path:
+    """`$XDG_CACHE_HOME/ndf-mi`, by default `~/.cache/ndf-mi`."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    # As the XDG specification has it: a relative path is ignored.
+    return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "ndf-mi"
+
+
+def profile_of(run: Run, size: tuple[int, int], geometry: bool, tell: Callable[[str], None]) -> Profile:
+    """The profile that is kept, or a new one, which is then kept.
+
+    Args:
+        run: the run.
+        size: width and height of the pictures.
+        geometry: whether (u, v, l) and normals are drawn, too.
+        tell: told what is being done.
+    """
+    key = Key.of(run, size, geometry)
+    known, why = read(key)
+    if known is not None:
+        tell(f"profile: {key.file}")
+        return known
+    tell(f"profile: {why}; measuring this machine, which is done once")
+    begun = time.perf_counter()
+    made = measure(run, size, geometry, tell)
+    try:
+        files.write_json(key.file, {"format": FORMAT, "version": VERSION, "key": key.to_dict(), "strata": made.strata,
+                                    "samples": [asdict(sample) for sample in made.samples]})
+        tell(f"profile: measured in {time.perf_counter() - begun:.0f} s, kept as {key.file}")
+    except InputError as error:
+        tell(f"profile: measured in {time.perf_counter() - begun:.0f} s, but not kept: {error.found}")
+    return made
+
+
+def read(key: Key) -> tuple[Profile | None, str]:
+    """The profile that is kept for a key; or None, and why: there is none, it can't be read, or it is stale."""
+    try:
+        document = json.loads(key.file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None, "none yet for this run at this size"
+    except (OSError, ValueError, RecursionError):
+        return None, "the one kept can't be read"
+    if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (FORMAT, VERSION):
+        return None, "the one kept is of another version"
+    kept, now = document.get("key"), key.to_dict()
+    if kept != now:
+        changed = "weights" if isinstance(kept, dict) and kept.get("digest") != now["digest"] else "machine or versions"
+        return None, f"the one kept is stale ({changed} changed)"
+    try:
+        samples = [Sample(**entry) for entry in document["samples"]]
+        strata = int(document["strata"])
+        numbers = [value for sample in samples for value in asdict(sample).values() if value is not None]
+        if not all(map(is_finite, numbers)) or {s.cutoff for s in samples if s.error is not None} != set(CUTOFFS):
+            return None, "the one kept can't be read"
+    except (KeyError, TypeError, ValueError):
+        return None, "the one kept can't be read"
+    return Profile(samples, strata), ""
+
+
+def measure(run: Run, size: tuple[int, int], geometry: bool, tell: Callable[[str], None]) -> Profile:
+    """Measures settings in two views of the run's, interleaved; kernels are compiled in a round before, which finds the errors, too."""
+    shrink = min(LARGEST / max(size), 1.0)
+    whole = (max(round(shrink * size[0]), 2), max(round(shrink * size[1]), 2))
+    half = (max(whole[0] // 2, 1), max(whole[1] // 2, 1))
+    frames = [int(run.poses.frames[i * (len(run.poses.frames) - 1) // max(len(AZIMUTHS) - 1, 1)]) for i in range(len(AZIMUTHS))]
+    views = list(zip(frames, AZIMUTHS, strict=True))
+    jobs = [(pixels, Setting(n, cutoff)) for pixels, plan in ((half, HALF), (whole, WHOLE)) for cutoff, ns in plan.items() for n in ns]
+    first: dict[tuple[int, int], tuple[Image, float | None]] = {}
+    seconds: dict[tuple[int, int], list[float]] = {}
+    for number, (frame, azimuth) in enumerate(views):
+        tell(f"profile: compiling and finding errors, view {number + 1} of {len(views)}")
+        small = _camera(run, frame, azimuth, half)
+        truth = converged().image(run, frame, small).over(run.background)
+        mask = metrics.box_mask(small, run.poses.vertices[run.poses.index(frame)])
+        for index, (pixels, setting) in enumerate(jobs):
+            image = setting.image(run, frame, _camera(run, frame, azimuth, pixels), geometry)
+            error = float(np.mean(np.square(image.over(run.background) - truth)[mask])) if pixels == half and mask.any() else None
+            first[number, index] = image, error
+    for repeat in range(REPEATS):
+        tell(f"profile: timing, {repeat + 1} of {REPEATS}")
+        for number, (frame, azimuth) in enumerate(views):
+            for index in np.random.default_rng([repeat, number]).permutation(len(jobs)):
+                pixels, setting = jobs[index]
+                camera = _camera(run, frame, azimuth, pixels)
+                begun = time.perf_counter()
+                setting.image(run, frame, camera, geometry)
+                seconds.setdefault((number, int(index)), []).append(time.perf_counter() - begun)
+    samples = []
+    for index, (_, setting) in enumerate(jobs):
+        works = [first[number, index][0].work for number in range(len(views))]
+        errors = [error for number in range(len(views)) if (error := first[number, index][1]) is not None]
+        taken = statistics.mean(statistics.median(seconds[number, index]) for number in range(len(views)))
+        names = ("rays", "tiles", "lanes", "candidates", "evaluated")
+        counts = {name: statistics.mean(getattr(work, name) for work in works) for name in names}
+        error = statistics.mean(errors) if errors else None
+        samples.append(Sample(setting.samples, setting.cutoff, **counts, seconds=taken, error=error))
+    return Profile(samples, run.model.field.preset.strata)
+
+
+def _camera(run: Run, frame: int, azimuth: float, pixels: tuple[int, int]) -> Camera:
+    return framing(run.poses.vertices[run.poses.index(frame)], *pixels, azimuth)

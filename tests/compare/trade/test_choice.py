@@ -1,0 +1,190 @@
+"""Choosing a setting by time or error: what is asked for, what is refused, and a profile that is kept and made anew when stale."""
+
+import dataclasses
+import json
+import math
+
+import pytest
+
+from ndf_mi.commands import main
+from ndf_mi.compare.trade import choice, profile
+from ndf_mi.compare.trade.choice import Choice, own_error, parse_decibel, parse_seconds, within_budget, within_error
+from ndf_mi.compare.trade.cost import CostModel, Sample, Sight
+from ndf_mi.compare.trade.profile import CUTOFFS, Key, Profile
+from ndf_mi.compare.trade.setting import Setting
+from ndf_mi.errors import InputError
+from ndf_mi.render.image import LANES
+from ndf_mi.render.sampling import QUANTUM, rounded
+
+
+def known_profile(fixed=0.05, each=1e-6, error=1.0):
+    """A machine that takes `each` seconds a sample evaluated, which a tenth of all are, and an error that falls with the square."""
+    samples = []
+    for rays in (9000, 40000):
+        for cutoff, factor in zip(CUTOFFS, (1.0, 1.5), strict=True):
+            for n in (8, 32, 128):
+                tile = min(LANES // (n // 4), rounded(rays, QUANTUM))
+                tiles, evaluated = 4 * math.ceil(rays / tile), 0.1 * rays * n
+                seconds = fixed + each * evaluated
+                samples.append(Sample(n, cutoff, rays, tiles, tiles * tile * n / 4, rays * n, evaluated, seconds, factor * error / n**2))
+    return Profile(samples, 1)
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("0.5s", 0.5), ("300ms", 0.3), ("2 min", 120.0), (".25s", 0.25)])
+def test_times(text, seconds):
+    assert parse_seconds(text) == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize("text", ["0.5", "0s", "-1s", "fast", "1h", "1e999s", "nans", ""])
+def test_what_is_no_time(text):
+    with pytest.raises(InputError, match="--budget"):
+        parse_seconds(text)
+
+
+def test_losses():
+    assert parse_decibel("0.5dB") == parse_decibel("0.5 db") == 0.5
+    for text in ("0.5", "0dB", "-1dB", "40"):
+        with pytest.raises(InputError, match="--error"):
+            parse_decibel(text)
+
+
+def choices(budget=None, own=1e-3):
+    model = known_profile().model()
+    sight = Sight(1000)
+    return [Choice(s, model.seconds(s, sight), *choice._believed(model.error(s), own)) for s in choice._offered(model, sight, budget)]
+
+
+@pytest.mark.parametrize("budget", [0.0508, 0.06, 0.09, 0.3, 7.0])
+def test_a_time_is_filled_and_not_exceeded(budget):
+    best = within_budget(choices(budget), budget)
+    assert 0.8 * budget < best.seconds <= budget
+    better = [c for c in choices(budget) if c.seconds <= budget and c.psnr > best.psnr and c.setting.spp >= best.setting.spp]
+    assert not better
+    assert (best.setting.spp > 1) == (budget > 0.15)
+
+
+def test_too_short_a_time_says_what_the_least_is():
+    least = min(c.seconds for c in choices())
+    with pytest.raises(InputError, match="at least") as caught:
+        within_budget(choices(), 0.01)
+    said = float(caught.value.expected.split()[2])
+    assert least <= said <= 1.1 * least
+    assert within_budget(choices(), said).seconds <= said
+
+
+def test_an_error_takes_the_quickest_that_keeps_it():
+    quickest = within_error(choices(), 0.5)
+    assert quickest.loss <= 0.5
+    assert all(c.loss > 0.5 for c in choices() if c.seconds < quickest.seconds)
+    # 10 log10(1 + (1/n²)/1e-3) = 0.5 dB at n = 90.5: the next number offered.
+    assert quickest.setting == Setting(96, CUTOFFS[0])
+    with pytest.raises(InputError, match="at least"):
+        within_error(choices(own=1e-9), 0.5)
+
+
+def test_errors_add_up_as_independent_ones():
+    psnr, loss = choice._believed(1e-4, 1e-3)
+    assert psnr == pytest.approx(40.0) and loss == pytest.approx(10 * math.log10(1.1))
+    assert choice._believed(1e-4, None)[1] is None
+
+
+def test_the_own_error_is_what_training_ended_with(trained_run, make_run):
+    last = json.loads((trained_run.path / "metrics.jsonl").read_text().splitlines()[-1])
+    assert -10 * math.log10(own_error(trained_run)) == pytest.approx(last["psnr"])
+    assert own_error(make_run()) is None
+
+
+@pytest.fixture
+def counted(monkeypatch, tmp_path):
+    """A cache of the test's own, and profiles that are not measured but counted."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    made = []
+    monkeypatch.setattr(profile, "measure", lambda *a: made.append(a) or known_profile(0.01, 1e-7, error=3e-2))
+    return made
+
+
+def test_a_profile_is_kept_and_made_anew_where_it_is_stale(make_run, counted, monkeypatch, tmp_path):
+    run, told = make_run(), []
+
+    def get(size=(8, 8), geometry=False):
+        told.clear()
+        return profile.profile_of(run, size, geometry, told.append)
+
+    first = get()
+    assert len(counted) == 1 and "none yet" in told[0]
+    assert get() == first and len(counted) == 1
+    file = Key.of(run, (8, 8), False).file
+    assert file.is_relative_to(tmp_path / "cache" / "ndf-mi") and json.loads(file.read_text())["key"]["size"] == [8, 8]
+    get((8, 9)), get((8, 8), True)
+    assert len(counted) == 3
+
+    run.model.field.weights = run.model.field.weights + 0.5
+    get()
+    assert len(counted) == 4 and "weights changed" in told[0]
+    described = profile.machine.describe()
+    monkeypatch.setattr(profile.machine, "describe", lambda: described | {"Versions": "another"})
+    get()
+    assert len(counted) == 5 and "versions changed" in told[0]
+    for text in ("{", "[]", '{"format": "ndf-profile", "version": 0}', file.read_text().replace("9000", '"x"')):
+        file.write_text(text)
+        get()
+        assert "can't be read" in told[0] or "another version" in told[0]
+    assert get() == first and len(counted) == 9
+
+
+def test_a_profile_that_cannot_be_kept_serves_all_the_same(make_run, counted, monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    told = []
+    assert profile.profile_of(make_run(), (8, 8), False, told.append).samples
+    assert "not kept" in told[-1]
+
+
+def test_render_in_a_time_and_within_an_error(make_run, counted, tmp_path, capsys):
+    run = make_run()
+    (run.path / "metrics.jsonl").write_text('{"step": 1, "psnr": 30.0}\n')
+    out = tmp_path / "a.png"
+    for wish in (["--budget", "20ms"], ["--error", "0.5dB"]):
+        assert main(["render", str(run.path), "-o", str(out), "--size", "24", "24", *wish]) == 0
+        said = capsys.readouterr()
+        assert "believed to take" in said.err and "given up" in said.err and "took" in said.err
+        assert said.out.strip() == str(out) and out.exists()
+    assert len(counted) == 1
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    (["--budget", "1s", "--samples", "64"], "--samples"),
+    (["--budget", "1s", "--spp", "4"], "--spp"),
+    (["--error", "1dB", "--cutoff", "0.1"], "--cutoff"),
+    (["--error", "1dB", "--networks", "fused"], "--networks"),
+    (["--budget", "1s", "--stratified"], "--stratified"),
+    (["--budget", "1s", "--error", "1dB"], "--error"),
+    (["--budget", "1"], "0.5s"),
+    (["--budget", "1us"], "0.5s"),
+    (["--budget", "1ms"], "at least"),
+    (["--error", "0.000001dB"], "at least"),
+    (["--cutoff", "1"], "--cutoff"),
+])
+def test_mistakes_are_told_with_exit_code_2(make_run, counted, tmp_path, capsys, options, words):
+    run = make_run()
+    (run.path / "metrics.jsonl").write_text('{"step": 1, "psnr": 30.0}\n')
+    assert main(["render", str(run.path), "-o", str(tmp_path / "a.png"), "--size", "16", "16", *options]) == 2
+    assert words in capsys.readouterr().err and not (tmp_path / "a.png").exists()
+
+
+def test_an_error_needs_one_to_be_relative_to(make_run, counted, tmp_path, capsys):
+    assert main(["render", str(make_run().path), "-o", str(tmp_path / "a.png"), "--size", "16", "16", "--error", "1dB"]) == 2
+    assert "metrics.jsonl" in capsys.readouterr().err and not counted
+
+
+def test_a_real_profile_has_all_that_the_model_needs(trained_run, monkeypatch):
+    monkeypatch.setattr(profile, "HALF", {CUTOFFS[0]: (8, 32), CUTOFFS[1]: (16,)})
+    monkeypatch.setattr(profile, "WHOLE", {CUTOFFS[0]: (32,)})
+    monkeypatch.setattr(profile, "AZIMUTHS", (30.0,))
+    monkeypatch.setattr(profile, "REPEATS", 1)
+    made = profile.measure(trained_run, (24, 32), False, lambda text: None)
+    assert [(s.samples, s.error is None) for s in made.samples] == [(8, False), (32, False), (16, False), (32, True)]
+    assert all(s.seconds > 0 and s.rays > 0 and s.lanes >= s.candidates >= s.evaluated > 0 for s in made.samples)
+    model: CostModel = made.model()
+    assert model.error(Setting(32, CUTOFFS[0])) < model.error(Setting(8, CUTOFFS[0]))
+    assert (model.coefficients >= 0).all() and dataclasses.astuple(made.samples[0])
