@@ -2,12 +2,12 @@
 
     python benchmarks/plan.py captures/plan --steps 3000
 
-Makes the captures below in the folder where they are not there yet (about a minute each), plans each, and trains side by side, a step of one
-after a step of the other, so that what else the machine does hits all alike: the full model, the planned one, and for each part that the
-capture is made to need the planned one without it. Prints for each capture what the plan kept and left out of what was expected, the
-held-out box PSNR of each model and its difference to the full one's, medians of seconds a training step and an image, and their ratios
-to the full model's; and at the end which of the promises are kept: a planned model is at most 0.1 dB worse than the full one, and where
-parts could be left out takes at most 60 % of its time; what is needed is kept, and costs more than 0.1 dB where it is left out.
+Makes the captures below in the folder where they are not there yet (about a minute each), plans each, and trains side by side, a step of
+one after a step of the other, so that what else the machine does hits all alike: the full model, the planned one, and for each part that
+the capture is made to need the planned one without it. Prints for each capture what the plan left out, the held-out box PSNR of each
+model and its difference to the full one's, medians of seconds a training step and an image, and their ratios to the full model's; and
+at the end which of the promises are kept: a planned model is at most 0.1 dB worse than the full one, and where parts could be left out
+takes at most 60 % of its time; what is needed is kept, and costs more than 0.1 dB where it is left out.
 
 Rows of a capture are written to FOLDER/results.json when it is done, and not measured again by the same command.
 """
@@ -78,7 +78,7 @@ CAPTURES = {
     "loose": Made(dataclasses.replace(TIGHT, clothes="loose"), ("band",)),
     "folds": Made(Look(surface="matte"), ("pose", "light", "band")),
 }
-"""By name. `plain` needs nothing; `carried` turns, with its light; `poses` moves, but nothing changes; each of the others needs something."""
+"""By name. `plain` needs nothing; `carried` turns with its light; `poses` moves, but nothing changes; the others each need something."""
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,8 @@ def shown(name: str, made: Made, found: Plan, rows: list[Row]) -> list[str]:
               f"| {row.image:.4f} | {row.image / full.image:.2f} |")
     print(flush=True)
     p = found.preset
-    has = {"pose": bool(p.pose_layers), "light": p.normal_octaves >= 0, "view": p.direction_octaves >= 0, "band": p.band > 1.5 * BAND["band"]}
+    has = {"pose": bool(p.pose_layers), "light": p.normal_octaves >= 0, "view": p.direction_octaves >= 0,
+           "band": p.band > 1.5 * BAND["band"]}
     verdicts = [_verdict(name, f"{part} is {'kept' if has[part] else 'left out'}", has[part] == (part in made.needs)) for part in PARTS]
     verdicts.append(_verdict(name, f"planned {planned.psnr - full.psnr:+.2f} dB", planned.psnr >= full.psnr - WORTH))
     for what, ratio in (("training", planned.step / full.step), ("rendering", planned.image / full.image)):

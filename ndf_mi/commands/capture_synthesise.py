@@ -16,8 +16,8 @@ class CaptureSynthesise:
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """The folder to make: new, empty, or one in which this command was stopped."""
     size: Literal["tiny", "plan", "lit", "quick", "studio"] = "quick"
-    """tiny (48 pixels, for tests), plan (80 pixels, 6 cameras, 12 frames, for `ndf-mi plan`), lit (96 pixels, 3 frames, for relighting), quick (128 pixels, about a minute on two cores) or studio
-    (256 pixels, 21 cameras)."""
+    """tiny (48 pixels, for tests), plan (80 pixels, 12 frames, for studies of `ndf-mi plan`), lit (96 pixels, 3 frames, for relighting),
+    quick (128 pixels, about a minute on two cores) or studio (256 pixels, 21 cameras)."""
     light: Literal["studio", "evening", "carried", "flat"] = "studio"
     """What the performer is lit by; captures with different lights and otherwise the same options differ in it alone. carried: the studio's
     light, turning with the performer; flat: none, surfaces show their reflectance. Of these two, the capture does not say its light."""

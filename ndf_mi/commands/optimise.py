@@ -29,7 +29,7 @@ class Optimise:
     preset: Annotated[str, tyro.conf.arg(help=f"Architecture: {PRESET_HELP}.")] = "fast"
 
     model: str | None = None
-    """`auto`: the architecture that the capture needs, as `ndf-mi plan` finds it; or a plan that it has written. In the place of --preset."""
+    """`auto`: the architecture that the capture needs, as `ndf-mi plan` finds it; or a plan's file. In the place of --preset."""
 
     ablation: Annotated[str, tyro.conf.arg(help=f"Take a part of the method away: one of {', '.join(ABLATION_NAMES)}.")] = "full"
 
@@ -61,7 +61,8 @@ class Optimise:
         capture = Capture.read(self.capture)
         if self.resume:
             given = [name for name in ("steps", "seconds", "seed") if getattr(self, name) is not None]
-            given += [name for name, default in (("ablation", "full"), ("integrator", QUADRATURE), ("model", None)) if getattr(self, name) != default]
+            defaults = {"ablation": "full", "integrator": QUADRATURE, "model": None}
+            given += [name for name, default in defaults.items() if getattr(self, name) != default]
             if given or self.option:
                 raise InputError("--resume", f"another option beside it (--{(given or ['option'])[0]})",
                                  "none: a resumed run keeps the options it was started with")
@@ -71,9 +72,10 @@ class Optimise:
             preset, training = configured(
                 self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds, seed=self.seed,
                 integrator=self.integrator, planned=chosen)
-            changed = [] if self.integrator == QUADRATURE else relightable(chosen or preset_of(self.preset))[1]
+            base = chosen or preset_of(self.preset)
+            changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
             if changed:
-                print(f"{self.integrator}: preset {(chosen or preset_of(self.preset)).name} with {', '.join(changed)}, so that colours hold no light, paths stay short")
+                print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours hold no light, paths stay short")
             trainer = start(self.out, capture, preset, training, plan)
         try:
             train(trainer)

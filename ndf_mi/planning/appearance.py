@@ -20,8 +20,8 @@ from ndf_mi.planning.observations import Observations
 #: Edge of a cell, which is one place, in pixels' footprints; of a patch, across which shading is one value, in cells; of a region, across
 #: which one material is assumed to answer to light and view alike, in metres.
 CELL, PATCH, REGION = 2.0, 3, 0.3
-#: The ridge: the variance of a pixel's colour about its prediction, of about 1e-2, to that of a regressor's weight, of about a tenth squared.
-#: Regressors are not scaled: one that the fitted images hardly vary in must not get a large weight.
+#: The ridge: the variance of a pixel's colour about its prediction, some 1e-2, to that of a regressor's weight, a tenth squared. Regressors
+#: are not scaled: one that the fitted images hardly vary in must not get a large weight.
 _RIDGE = 1.0
 #: Parts that frames are divided into to be left out in turn.
 _FOLDS = 6
@@ -98,8 +98,8 @@ class Appearance:
         return self._gain(self._turned if given_normal else None, self._highlights, self._camera)
 
     def frame(self, given_normal: bool) -> tuple[Estimate, Estimate]:
-        """What the frame explains beyond the place, and the normal if that is given: in all, and the part of it that changes within a patch,
-        which no change of shading across it does: something moves along the surface.
+        """What the frame explains beyond the place, and the normal if that is given: in all, and the part of it that changes within a
+        patch, which no change of shading across it does: something moves along the surface.
 
         The covariance of what two cameras see at one place in one frame, less that of what they see in two frames, from sides as far apart.
         """
@@ -131,7 +131,7 @@ class Appearance:
 
     def _predicted(self, x: np.ndarray, mean: np.ndarray, left: np.ndarray, train: np.ndarray, test: np.ndarray,
                    shading: bool) -> np.ndarray:
-        """(R, 3) what `x` (R, K), times the place's `mean` colour if it is shading, says about `left`: fitted region by region on `train`."""
+        """(R, 3) what `x` (R, K), times the place's `mean` colour if it is shading, says about `left`; fitted by region on `train`."""
         out = np.zeros_like(left)
         inside = x - self._centre(x, train)
         for channel in range(3):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import binary_erosion, gaussian_filter
+from scipy.spatial import cKDTree
 
 from ndf_mi.body.body import Body
 from ndf_mi.planning.observations import Observations, View
@@ -62,8 +63,6 @@ def _areas(corners: np.ndarray) -> np.ndarray:
 
 
 def _near(points: np.ndarray, chosen: np.ndarray, reach: float) -> np.ndarray:
-    from scipy.spatial import cKDTree
-
     return np.asarray(cKDTree(points[chosen]).query(points, distance_upper_bound=reach)[0] < reach)
 
 
@@ -86,12 +85,10 @@ def _lost(views: Sequence[View], noise: float) -> dict[int, float]:
         if not inner.any():
             continue
         pixels += int(inner.sum())
-        weight = view.mask.astype(np.float64)
+        weight = view.mask.astype(np.float64)[..., None]
         for blur in _BLURS:
-            sigma = (0.0 if blur < 2 else 0.5 * blur, ) * 2
-            share = gaussian_filter(weight, sigma)
-            kept = np.stack([gaussian_filter(view.image[..., c] * weight, sigma) for c in range(3)], axis=-1) / np.maximum(share, 1e-6)[..., None]
-            total[blur] += float(np.mean((view.image - kept)[inner] ** 2, axis=1).sum())
+            spread, share = (gaussian_filter(x, (0.5 * blur, 0.5 * blur, 0)) for x in (view.image * weight, weight))
+            total[blur] += float(np.mean((view.image - spread / np.maximum(share, 1e-6))[inner] ** 2, axis=1).sum())
     return {blur: max(value / max(pixels, 1) - noise**2, 0.0) for blur, value in total.items()}
 
 

@@ -93,8 +93,8 @@ def about_band(found: Standoff, detail: Detail, settings: Settings, full: Preset
     band = _ceil(max(outside, detail.footprint / 2) / _USABLE)
     deep = _ceil(inside + math.log(1 / _TRANSPARENT) / full.density_limit / (1 - full.band_fade))
     band, deep = max(band, deep), min(deep, full.band)
-    evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the body and bodies {1e3 * inside:.0f} mm beyond the masks, where what lies further "
-                f"costs less than {settings.worth:g} dB; a pixel spans {1e3 * detail.footprint:.0f} mm")
+    evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the body and bodies {1e3 * inside:.0f} mm beyond the masks, where what lies "
+                f"further costs less than {settings.worth:g} dB; a pixel spans {1e3 * detail.footprint:.0f} mm")
     if outside >= REACH:
         evidence += f"; what stands off further than {1e3 * REACH:.0f} mm was not looked for"
     thinner = band + deep < full.band + full.band_inside
@@ -115,8 +115,8 @@ def about_detail(detail: Detail, settings: Settings, full: Preset) -> Finding:
     # More entries than the finest level has cells where the performer is seen would serve nothing.
     cells = detail.atlas * finest**2 * max(math.ceil(finest * full.grid_l_scale), 1)
     entries = int(min(full.grid_entries, 2 ** math.ceil(math.log2(max(cells, 2**10)))))
-    evidence = (f"a pixel spans {1e3 * detail.footprint:.1f} mm, {detail.texel:.4f} of the texture's square; a blur by two pixels would cost "
-                f"{_decibels(detail.lost[2], settings):.2f} dB; noise is at most {detail.noise:.4f}; training images show "
+    evidence = (f"a pixel spans {1e3 * detail.footprint:.1f} mm, {detail.texel:.4f} of the texture's square; a blur by two pixels would "
+                f"cost {_decibels(detail.lost[2], settings):.2f} dB; noise is at most {detail.noise:.4f}; training images show "
                 f"{100 * detail.seen:.0f} % of the body's area, over {100 * detail.atlas:.0f} % of the square")
     smaller = (finest, levels, entries) != (full.grid_finest, full.grid_levels, full.grid_entries)
     return Finding(

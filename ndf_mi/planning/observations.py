@@ -89,7 +89,7 @@ def observe(capture: Capture, frames: tuple[int, ...]) -> tuple[Observations, li
     rest = (poses.vertices[0] if body.template is None else body.template).astype(np.float64)
     rest_normals = vertex_normals(rest, body.faces)
     posed = [poses.vertices[poses.index(frame)].astype(np.float64) for frame in frames]
-    shading = [harmonics(vertex_normals(vertices, body.faces), 2) for vertices in posed]
+    shading = [harmonics(vertex_normals(vertices, body.faces)) for vertices in posed]
     usual = np.mean(shading, axis=0)
     back = triangle_frames(rest, body.faces)
     caster = _Caster(body.faces, len(rest))
@@ -168,14 +168,11 @@ def edge(mask: np.ndarray) -> np.ndarray:
     return binary_dilation(mask, around) & ~binary_erosion(mask, around, border_value=1)
 
 
-def harmonics(d: np.ndarray, order: int) -> np.ndarray:
-    """(N, (order + 1)² − 1) polynomials of unit vectors (N, 3) that span the real spherical harmonics from the first order to `order`, which
-    is 1 or 2; not normalised. Irradiance is of the second order to within a few percent (Ramamoorthi and Hanrahan 2001)."""
+def harmonics(d: np.ndarray) -> np.ndarray:
+    """(N, 8) polynomials of unit vectors (N, 3) that span the real spherical harmonics of the first and second order, not normalised.
+    Irradiance is made of these and a constant to within a few percent (Ramamoorthi and Hanrahan 2001)."""
     x, y, z = d.T
-    columns = [x, y, z]
-    if order > 1:
-        columns += [x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1]
-    return np.stack(columns, axis=1)
+    return np.stack([x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1], axis=1)
 
 
 def triangle_frames(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

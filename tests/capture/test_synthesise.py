@@ -273,7 +273,8 @@ def test_tight_clothes_lie_on_the_body_and_do_not_fold_when_told_not_to(poses: P
         dressed = Performer(body, plan.shape_of(body), Look(clothes=clothes, folds=False))
         assert all(layer.folds is None for layer in dressed.layers)
         assert ("hair" in {layer.name for layer in dressed.layers}) == (clothes == "loose")
-        worn = [vertices for layer, vertices in zip(dressed.layers, posed(dressed, poses, 0), strict=True) if layer.name in ("shirt", "trousers")]
+        layers = zip(dressed.layers, posed(dressed, poses, 0), strict=True)
+        worn = [vertices for layer, vertices in layers if layer.name in ("shirt", "trousers")]
         distances[clothes] = tree.query(np.concatenate(worn))[0]
     assert np.quantile(distances["tight"], 0.9) < 0.015 < 0.025 < np.quantile(distances["loose"], 0.9)
 
@@ -301,7 +302,7 @@ def test_choices_are_part_of_what_a_capture_was_made_with_and_flat_light_shows_r
 
 
 def test_carried_light_turns_with_the_performer(tmp_path: Path) -> None:
-    """A quarter of a turn away, the camera a quarter of the ring on sees the same picture under carried light, and another under the studio's."""
+    """A quarter of a turn on, a camera that turned along sees the same picture under carried light, and another under the studio's."""
     settings = replace(TINY, pixels=32, spp=256, cameras=4, train_cameras=4, frames=4, view_frames=0, pose_frames=0, pose_cameras=1,
                        sequence_frames=0)
     body = load_anny()

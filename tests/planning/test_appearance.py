@@ -30,12 +30,12 @@ def ball(turning: bool) -> dict[str, np.ndarray]:
             })
     made = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     place = made.pop("place")
-    usual = np.mean([harmonics(rest_normal @ np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]]).T, 2)
+    usual = np.mean([harmonics(rest_normal @ np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]]).T)
                      for a in 2 * np.pi * np.arange(FRAMES) / FRAMES * turning], axis=0)
     count = len(place)
     texture = 0.5 + 0.1 * random.standard_normal(len(rest_normal))
     made |= {
-        "rest": 0.5 * rest_normal[place], "rest_normal": rest_normal[place], "turned": harmonics(made["normal"], 2) - usual[place],
+        "rest": 0.5 * rest_normal[place], "rest_normal": rest_normal[place], "turned": harmonics(made["normal"]) - usual[place],
         "triangle": place, "uv": np.zeros((count, 2)), "footprint": np.full(count, 0.02),
         "colour": np.repeat(texture[place, None], 3, axis=1) + NOISE * random.standard_normal((count, 3)),
     }

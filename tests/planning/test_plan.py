@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -72,7 +73,12 @@ def test_nothing_but_training_images_is_looked_at(capture: Capture, monkeypatch:
     looked: set[tuple[str, int]] = set()
     for name in ("image", "mask"):
         read = getattr(Capture, name)
-        monkeypatch.setattr(Capture, name, lambda self, camera, frame, read=read: (looked.add((camera, frame)), read(self, camera, frame))[1])
+
+        def noted(self: Capture, camera: str, frame: int, read: Any = read) -> np.ndarray:
+            looked.add((camera, frame))
+            return read(self, camera, frame)
+
+        monkeypatch.setattr(Capture, name, noted)
     found = plan(capture)
     assert looked == set(capture.splits["train"])
     assert found.looked_at == {"cameras": list(capture.splits["train"].cameras), "frames": list(capture.splits["train"].frames)}
@@ -129,9 +135,9 @@ def test_a_plan_comes_back_from_disk_and_is_of_one_capture(planned: Plan, captur
         read_preset(file, "another")
     with pytest.raises(InputError, match="no such file"):
         read_preset(tmp_path / "none.json", capture.digest)
-    for change, where in (({"format": "x"}, "format"), ({"version": 9}, "version"), ({"preset": 3}, "preset"), ({"preset": {"x": 1}}, "preset")):
+    for change in ({"format": "x"}, {"version": 9}, {"preset": 3}, {"preset": {"x": 1}}):
         file.write_text(json.dumps(value | change))
-        with pytest.raises(InputError, match=where):
+        with pytest.raises(InputError, match=next(iter(change))):
             read_preset(file, capture.digest)
     file.write_text("{")
     with pytest.raises(InputError, match="cannot be read"):
