@@ -15,6 +15,7 @@ Rows of a capture are written to FOLDER/results.json when it is done, and not me
 from __future__ import annotations
 
 import dataclasses
+import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
@@ -23,6 +24,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from rich.console import Console
+from rich.progress import track
 
 from ndf_mi import files, variants
 
@@ -147,7 +150,8 @@ def study(capture: Capture, presets: dict[str, Preset], options: Options) -> lis
     training = TrainingOptions(steps=options.steps, seed=options.seed)
     with tempfile.TemporaryDirectory() as folder:
         trainers = [start(Path(folder) / str(i), capture, preset, training) for i, preset in enumerate(presets.values())]
-        seconds = np.array([[_timed(trainer) for trainer in trainers] for _ in range(options.steps)])
+        seconds = np.array([[_timed(trainer) for trainer in trainers] for _ in track(range(options.steps), f"training {len(rows)} models",
+                                                                                     console=Console(file=sys.stderr))])
         for trainer in trainers:
             trainer.publish()
         methods = [NeuralField(trainer.run, options.samples) for trainer in trainers]
