@@ -40,6 +40,7 @@ ENTRIES = (
     Entry("capture synthesise", "capture_synthesise", "CaptureSynthesise", "render a capture of a synthetic performer"),
     Entry("capture check", "capture_check", "CaptureCheck", "say exactly what is wrong with a capture folder"),
     Entry("capture import", "capture_import", "CaptureImport", "make a capture of one of ZJU-MoCap or DynaCap"),
+    Entry("plan", "plan", "PlanCapture", "say which model a capture needs, and why"),
     Entry("optimise", "optimise", "Optimise", "train a neural deformable field on a capture"),
     Entry("compare", "compare", "Compare", "compare a trained field with a textured mesh; write report.html"),
     Entry("relight", "relight", "Relight", "show a run in another light, beside a diffuse textured mesh"),

@@ -15,11 +15,20 @@ class CaptureSynthesise:
 
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """The folder to make: new, empty, or one in which this command was stopped."""
-    size: Literal["tiny", "lit", "quick", "studio"] = "quick"
-    """tiny (48 pixels, for tests), lit (96 pixels, 3 frames, for relighting), quick (128 pixels, about a minute on two cores) or studio
-    (256 pixels, 21 cameras)."""
-    light: Literal["studio", "evening"] = "studio"
-    """What the performer is lit by; captures with different lights and otherwise the same options differ in it alone."""
+    size: Literal["tiny", "plan", "lit", "quick", "studio"] = "quick"
+    """tiny (48 pixels, for tests), plan (80 pixels, 12 frames, for studies of `ndf-mi plan`), lit (96 pixels, 3 frames, for relighting),
+    quick (128 pixels, about a minute on two cores) or studio (256 pixels, 21 cameras)."""
+    light: Literal["studio", "evening", "carried", "flat"] = "studio"
+    """What the performer is lit by; captures with different lights and otherwise the same options differ in it alone. carried: the studio's
+    light, turning with the performer; flat: none, surfaces show their reflectance. Of these two, the capture does not say its light."""
+    motion: Literal["clips", "turn", "still"] = "clips"
+    """clips: walking and climbing; turn: one pose, turned around once over the frames; still: one pose that never moves."""
+    clothes: Literal["loose", "tight"] = "loose"
+    """loose clothes stand off by centimetres; tight ones lie within a centimetre of the body, and the head is shaved."""
+    folds: bool = True
+    """Whether cloth folds with the pose."""
+    surface: Literal["mixed", "matte", "glossy"] = "mixed"
+    """mixed: diffuse cloth, glossy skin, hair and shoes; matte: all of it diffuse; glossy: all of it shines."""
     seed: int = 0
     """Seed of the cameras' placement and of the renderer; the same seed makes the same capture."""
     name: str = "performer"
@@ -61,6 +70,7 @@ class CaptureSynthesise:
             given["pose_cameras"] = min(settings.pose_cameras, self.cameras - train or self.cameras)
         settings = replace(settings, **given)
         variants.use()
+        from ndf_mi.capture.synthesise.look import Look
         from ndf_mi.capture.synthesise.synthesise import synthesise
 
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
@@ -72,7 +82,8 @@ class CaptureSynthesise:
             bar.update(task, completed=done, total=total)
 
         try:
-            synthesise(self.out, settings, self.name, self.overwrite, show, self.light)
+            synthesise(self.out, settings, self.name, self.overwrite, show, self.light,
+                       Look(self.motion, self.clothes, self.folds, self.surface))
         finally:
             bar.stop()
         print(f"{self.out}: {settings.pixels} pixels, {settings.cameras} cameras")

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from ndf_mi.commands.training_options import ABLATION_NAMES, OPTION_HELP, PRESET_HELP, configured
 from ndf_mi.errors import InputError
+
+if TYPE_CHECKING:
+    from ndf_mi.capture.capture import Capture
+    from ndf_mi.field import Preset
 
 
 @dataclass
@@ -23,6 +27,9 @@ class Optimise:
     """The run's folder: new or empty, or with --resume one made before."""
 
     preset: Annotated[str, tyro.conf.arg(help=f"Architecture: {PRESET_HELP}.")] = "fast"
+
+    model: str | None = None
+    """`auto`: the architecture that the capture needs, as `ndf-mi plan` finds it; or a plan's file. In the place of --preset."""
 
     ablation: Annotated[str, tyro.conf.arg(help=f"Take a part of the method away: one of {', '.join(ABLATION_NAMES)}.")] = "full"
 
@@ -54,19 +61,22 @@ class Optimise:
         capture = Capture.read(self.capture)
         if self.resume:
             given = [name for name in ("steps", "seconds", "seed") if getattr(self, name) is not None]
-            given += [name for name, default in (("ablation", "full"), ("integrator", QUADRATURE)) if getattr(self, name) != default]
+            defaults = {"ablation": "full", "integrator": QUADRATURE, "model": None}
+            given += [name for name, default in defaults.items() if getattr(self, name) != default]
             if given or self.option:
                 raise InputError("--resume", f"another option beside it (--{(given or ['option'])[0]})",
                                  "none: a resumed run keeps the options it was started with")
             trainer = resume(self.out, capture)
         else:
+            chosen, plan = self._planned(capture)
             preset, training = configured(
                 self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds, seed=self.seed,
-                integrator=self.integrator)
-            changed = [] if self.integrator == QUADRATURE else relightable(preset_of(self.preset))[1]
+                integrator=self.integrator, planned=chosen)
+            base = chosen or preset_of(self.preset)
+            changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
             if changed:
-                print(f"{self.integrator}: preset {self.preset} with {', '.join(changed)}, so that colours hold no light, paths stay short")
-            trainer = start(self.out, capture, preset, training)
+                print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours hold no light, paths stay short")
+            trainer = start(self.out, capture, preset, training, plan)
         try:
             train(trainer)
         except KeyboardInterrupt:
@@ -75,3 +85,18 @@ class Optimise:
         now = trainer.progress
         print(f"{self.out}: {now.step} steps in {now.seconds:.0f} s, {now.psnr:.2f} dB on the training rays")
         return 0
+
+    def _planned(self, capture: Capture) -> tuple[Preset | None, dict[str, Any] | None]:
+        """The preset of the plan asked for, and the plan's JSON; None where none is."""
+        if self.model is None:
+            return None, None
+        if self.preset != "fast":
+            raise InputError("--model", f"--preset {self.preset} beside it", "one of the two: a plan is of the preset fast")
+        from ndf_mi.commands.plan_console import planned, printed
+        from ndf_mi.planning.plan import Settings, read_preset
+
+        if self.model != "auto":
+            return read_preset(Path(self.model), capture.digest)
+        plan = planned(capture, Settings())
+        print(printed(plan) + "\n")
+        return plan.preset, plan.to_dict()

@@ -38,6 +38,7 @@ def configured(
     seconds: float | None = None,
     seed: int | None = None,
     integrator: str = QUADRATURE,
+    planned: Preset | None = None,
 ) -> tuple[Preset, TrainingOptions]:
     """The preset of that name and the options that go with it, first ablated, then changed.
 
@@ -47,6 +48,7 @@ def configured(
         ablation_name: of `ndf_mi.learn.ablations.ABLATIONS`.
         integrator: what pixels are computed by; one of those that scatter brings a preset whose colours hold no light, and its own number
             of steps.
+        planned: a preset in the place of the named one, `fast`, as a plan has it.
         steps, seconds, seed: entries with options of their own; None leaves the preset's. With seconds alone, steps are without limit.
 
     Raises:
@@ -56,7 +58,7 @@ def configured(
     if seconds is not None and not seconds > 0:
         raise InputError("--seconds", f"{seconds:g}", "a time above 0")
     training = TrainingOptions.paper() if preset_name == "paper" else TrainingOptions()
-    base, training = ablation(ablation_name).apply(preset(preset_name), training)
+    base, training = ablation(ablation_name).apply(preset(preset_name) if planned is None else planned, training)
     if integrator != QUADRATURE:
         base = relightable(base)[0]
         training = dataclasses.replace(training, integrator=integrator, steps=training.warm_up + SCATTERING_STEPS)

@@ -31,8 +31,15 @@ from ndf_mi.run import Run
 _LOG_EVERY = 50
 
 
-def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, options: TrainingOptions) -> Trainer:
+def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, options: TrainingOptions,
+          plan: dict[str, Any] | None = None) -> Trainer:
     """A new run in a folder that does not exist yet or is empty.
+
+    Args:
+        path: the folder.
+        capture: what to learn from.
+        preset, options: architecture and training.
+        plan: what the preset follows from, as JSON values, for the run's `config.json`.
 
     Raises:
         InputError: the folder holds something; there is no such integrator, or it finds no light in the capture. Nothing is written then.
@@ -55,6 +62,7 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
         background=[float(v) for v in capture.background],
         capture={"name": capture.name, "digest": capture.digest},
         training=options.to_dict(),
+        **({} if plan is None else {"plan": plan}),
         made_by={"ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__, "python": platform.python_version(),
                  "variant": mi.variant()},
     )

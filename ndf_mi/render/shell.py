@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from skimage.measure import marching_cubes
 
 from ndf_mi.projection import Surface
 
@@ -173,8 +172,11 @@ def cut(inside: np.ndarray, smooth: np.ndarray, grid: Grid) -> tuple[np.ndarray,
     Returns:
         vertices (N, 3) float32 and faces (M, 3) uint32: closed, normals pointing out. It crosses only cells with corners of both kinds.
     """
+    from skimage.measure import marching_cubes  # here, since registering the plugins must not import it
+
     size = np.clip(np.where(inside, -smooth, smooth), LEAST, 1.0)
     value = np.where(inside, -size, size).astype(np.float32)
+
     corners, faces, _, _ = marching_cubes(value, 0.0, spacing=(grid.cell,) * 3, gradient_direction="descent")
     return (corners + grid.low).astype(np.float32), faces.astype(np.uint32)
 

@@ -14,12 +14,14 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from ndf_mi.body.anny import load_anny
 from ndf_mi.body.poses import Poses
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.check import problems
 from ndf_mi.capture.synthesise import plan
+from ndf_mi.capture.synthesise.look import Look
 from ndf_mi.capture.synthesise.performer import Performer
 from ndf_mi.capture.synthesise.ring import camera_ring
 from ndf_mi.capture.synthesise.studio import Studio
@@ -243,3 +245,79 @@ def test_pixels_left_out_are_those_that_the_performer_does_not_touch(performer: 
     assert np.abs(coverage - whole[..., 3]).max() < 0.15
     assert not (whole[..., 3][coverage == 0] > 0.02).any()
     np.testing.assert_allclose(radiance.mean(axis=(0, 1)), whole[..., :3].mean(axis=(0, 1)), rtol=0.01)
+
+
+@pytest.mark.parametrize("kind", ["turn", "still"])
+def test_one_pose_is_held_while_the_performer_turns_or_stands(kind: str) -> None:
+    poses = plan.motion(load_anny(), replace(TINY, frames=4), kind)
+    assert len(poses) == 7 and np.ptp(poses.pose[:4], axis=0).max() == 0
+    angles = np.arange(4) * np.pi / 2 * (kind == "turn")
+    for row, angle in enumerate(angles):
+        turn = Rotation.from_rotvec([0, angle, 0])
+        np.testing.assert_allclose(poses.vertices[row], turn.apply(poses.vertices[0]), atol=1e-5)
+        # Poses.vertices are R X + t, of one X here.
+        back = Rotation.from_rotvec(poses.root_rotation[row]).inv().apply(poses.vertices[row] - poses.translation[row])
+        first = Rotation.from_rotvec(poses.root_rotation[0]).inv().apply(poses.vertices[0] - poses.translation[0])
+        np.testing.assert_allclose(back, first, atol=1e-5)
+        gone = plan.heading(poses.root_rotation[row]) - plan.heading(poses.root_rotation[0]) - angle
+        assert np.cos(gone) == pytest.approx(1, abs=1e-6)
+    # Poses that are shown to nobody in training are as ever.
+    assert np.ptp(poses.pose[3:5], axis=0).max() > 0.1
+
+
+def test_tight_clothes_lie_on_the_body_and_do_not_fold_when_told_not_to(poses: Poses) -> None:
+    body = load_anny()
+    tree = cKDTree(poses.vertices[0])
+    distances = {}
+    for clothes in ("loose", "tight"):
+        dressed = Performer(body, plan.shape_of(body), Look(clothes=clothes, folds=False))
+        assert all(layer.folds is None for layer in dressed.layers)
+        assert ("hair" in {layer.name for layer in dressed.layers}) == (clothes == "loose")
+        layers = zip(dressed.layers, posed(dressed, poses, 0), strict=True)
+        worn = [vertices for layer, vertices in layers if layer.name in ("shirt", "trousers")]
+        distances[clothes] = tree.query(np.concatenate(worn))[0]
+    assert np.quantile(distances["tight"], 0.9) < 0.015 < 0.025 < np.quantile(distances["loose"], 0.9)
+
+
+def test_choices_are_part_of_what_a_capture_was_made_with_and_flat_light_shows_reflectance(tiny: Path, tmp_path: Path) -> None:
+    one = replace(TINY, frames=2, view_frames=0, pose_frames=0, sequence_frames=0)
+    look = Look("turn", "tight", False, "matte")
+    flat = synthesise(tmp_path / "flat", one, light="flat", look=look)
+    assert problems(flat) == []
+    assert Capture.read(flat).lighting is None and not (flat / "lighting.xml").exists()
+    made_with = json.loads((flat / "synthesis.json").read_text())
+    assert {key: made_with[key] for key in ("motion", "clothes", "folds", "surface", "light")} == {
+        "motion": "turn", "clothes": "tight", "folds": False, "surface": "matte", "light": "flat"}
+    assert "motion" not in json.loads((tiny / "synthesis.json").read_text())
+    with pytest.raises(InputError, match="other settings"):
+        synthesise(flat, one, light="flat", look=replace(look, surface="glossy"))
+    with pytest.raises(InputError, match="--clothes.*none.*tight"):
+        Look(clothes="none")
+    # Skin's reflectance is (206, 152, 122) in sRGB, mottled by a few percent: the brightest of the head is near it, in any frame.
+    for frame in (0, 1):
+        image, mask = Capture.read(flat).image("cam00", frame), Capture.read(flat).mask("cam00", frame)
+        top = np.flatnonzero(mask.any(axis=1))[0] + 2
+        head = image[top : top + 2][binary_erosion(mask)[top : top + 2]]
+        assert len(head) and np.abs(np.median(head, axis=0) - np.array([206, 152, 122]) / 255).max() < 0.06
+
+
+def test_carried_light_turns_with_the_performer(tmp_path: Path) -> None:
+    """A quarter of a turn on, a camera that turned along sees the same picture under carried light, and another under the studio's."""
+    settings = replace(TINY, pixels=32, spp=256, cameras=4, train_cameras=4, frames=4, view_frames=0, pose_frames=0, pose_cameras=1,
+                       sequence_frames=0)
+    body = load_anny()
+    poses = plan.motion(body, settings, "turn")
+    performer = Performer(body, plan.shape_of(body), Look("turn", "tight", False, "matte"))
+    camera = camera_ring(4, 32, poses.vertices, 0)["cam00"]
+    quarter = np.eye(4)
+    quarter[:3, :3] = Rotation.from_rotvec([0, np.pi / 2, 0]).as_matrix()
+    cameras = [camera, replace(camera, transform=quarter @ camera.transform)]
+    difference = {}
+    for light in ("carried", "studio"):
+        studio = Studio(performer.layers, 256, light)
+        images = []
+        for row in (0, 1):
+            studio.pose(posed(performer, poses, row), plan.heading(poses.root_rotation[row]))
+            images.append(studio.render(cameras[row], 3)[0])
+        difference[light] = np.abs(images[0] - images[1]).mean()
+    assert difference["carried"] < 0.2 * difference["studio"]

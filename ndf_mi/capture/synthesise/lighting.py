@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,26 +28,39 @@ class Light:
         zenith: added to it towards the zenith.
         ground: below the horizon.
         lamps: for each, the direction towards it, its angular width in radians and the radiance at its middle.
+        carried: whether it turns with the performer's hips, as seen by cameras that circle a performer who stands in a room.
+        flat: whether there is none, and surfaces show their reflectance from everywhere alike.
     """
 
     sky: Colour
     zenith: Colour
     ground: Colour
     lamps: tuple[tuple[Colour, float, Colour], ...]
+    carried: bool = False
+    flat: bool = False
+
+    @property
+    def constant(self) -> bool:
+        """Whether one scene describes it for all frames."""
+        return not (self.carried or self.flat)
 
 
 DEFAULT = "studio"
 
+_STUDIO = Light(
+    (0.58, 0.62, 0.68), (0.05, 0.10, 0.20), (0.36, 0.33, 0.29),
+    (
+        ((0.55, 0.70, 0.60), 0.30, (9.5, 8.8, 7.8)),
+        ((-0.75, 0.45, 0.35), 0.50, (1.0, 1.1, 1.35)),
+        ((-0.30, 0.40, -0.85), 0.40, (1.9, 1.9, 2.1)),
+    ),
+)  # fmt: skip
+
 #: By name. `evening` has its key light low on the other side and orange, under a sky of a quarter of the brightness.
 LIGHTS = {
-    DEFAULT: Light(
-        (0.58, 0.62, 0.68), (0.05, 0.10, 0.20), (0.36, 0.33, 0.29),
-        (
-            ((0.55, 0.70, 0.60), 0.30, (9.5, 8.8, 7.8)),
-            ((-0.75, 0.45, 0.35), 0.50, (1.0, 1.1, 1.35)),
-            ((-0.30, 0.40, -0.85), 0.40, (1.9, 1.9, 2.1)),
-        ),
-    ),
+    DEFAULT: _STUDIO,
+    "carried": replace(_STUDIO, carried=True),
+    "flat": Light((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (), flat=True),
     "evening": Light(
         (0.13, 0.16, 0.24), (0.02, 0.05, 0.12), (0.07, 0.06, 0.06),
         (
@@ -124,4 +137,5 @@ MATERIALS: dict[str, dict[str, Any]] = {
     "skin": _glossy(0.5, 0.4, twosided=True),
     "hair": _glossy(0.4, 0.5, twosided=True),
     "eye": _glossy(0.15, 0.5, twosided=False),
+    "glossy": _glossy(0.3, 0.8, twosided=True),
 }

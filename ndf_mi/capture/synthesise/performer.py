@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from ndf_mi.body.body import Body
 from ndf_mi.body.skinning import SkinnedVertices, joint_transforms
 from ndf_mi.capture.synthesise.layers import Layer
+from ndf_mi.capture.synthesise.look import Look
 from ndf_mi.capture.synthesise.surface import averaging, vertex_normals
 from ndf_mi.capture.synthesise.wardrobe import dress
 from ndf_mi.capture.synthesise.wrinkles import Folds
@@ -24,15 +25,16 @@ class Performer:
     Args:
         body: Anny's body.
         shape: (B,) shape coefficients.
+        look: what it wears.
 
     Attributes:
         body, shape, layers: as given and made; all surfaces are in ``layers``, the naked body is not among them.
     """
 
-    def __init__(self, body: Body, shape: np.ndarray) -> None:
+    def __init__(self, body: Body, shape: np.ndarray, look: Look = Look()) -> None:  # noqa: B008
         self.body = body
         self.shape = np.asarray(shape, dtype=np.float32)
-        self.layers: list[Layer] = dress(body, self.shape)
+        self.layers: list[Layer] = dress(body, self.shape, look)
         self._skinned = [SkinnedVertices(layer.rest, layer.weights) for layer in self.layers]
         self._mean = [averaging(layer.faces, len(layer.rest)) for layer in self.layers]
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ndf_mi.body.body import Body
 from ndf_mi.body.bvh import Clip
@@ -75,6 +76,7 @@ class Settings:
 SIZES = {
     "tiny": Settings(48, 16, 5, 2, 3, 1, 1, 2, 2),
     "lit": Settings(96, 256, 8, 4, 3, 2, 2, 2),
+    "plan": Settings(80, 196, 10, 6, 12, 4, 0, 1),
     "quick": Settings(128, 100, 8, 4, 14, 3, 4, 4, 8),
     "studio": Settings(256, 132, 21, 4, 64, 6, 10, 7, 12),
 }
@@ -104,10 +106,13 @@ def shape_of(body: Body) -> np.ndarray:
     return np.array([BUILD.get(name, 0.0) for name in body.shape_names or ()], dtype=np.float32)
 
 
-def motion(body: Body, settings: Settings) -> Poses:
+def motion(body: Body, settings: Settings, kind: str = "clips") -> Poses:
     """The posed body of every frame: evenly spaced times of the training clips, then of the novel one, then its sequence.
 
     The lowest point of every frame is at the height 0 and the hips are over the origin.
+
+    Args:
+        kind: of the training frames, as in :class:`ndf_mi.capture.synthesise.look.Look`; all but `clips` hold the first one's pose.
     """
     first = settings.frames - settings.frames // 2
     counts = [(TRAINING_CLIPS[0], first), (TRAINING_CLIPS[1], settings.frames - first), (NOVEL_CLIP, settings.pose_frames)]
@@ -116,6 +121,9 @@ def motion(body: Body, settings: Settings) -> Poses:
         shown.append((load_clip(NOVEL_CLIP), SEQUENCE_START + np.arange(settings.sequence_frames)))
     shape = shape_of(body)
     parts = [pose_sequence(body, clip, frames, rate=30.0, shape=shape, place="treadmill") for clip, frames in shown]
+    if kind != "clips":
+        turn = 2 * np.pi / settings.frames if kind == "turn" else 0.0
+        parts[: 2 if settings.frames > 1 else 1] = [_held(parts[0], turn * np.arange(settings.frames))]
 
     def joined(field: Callable[[Poses], np.ndarray]) -> np.ndarray:
         return np.concatenate([field(part) for part in parts])
@@ -130,6 +138,25 @@ def motion(body: Body, settings: Settings) -> Poses:
         joined(lambda p: p.root_rotation),
         joined(lambda p: p.translation) - lift,
         shape,
+    )
+
+
+def heading(root_rotation: np.ndarray) -> float:
+    """Radians around y by which the body, turned by the (3,) axis-angle `root_rotation`, faces away from +z towards +x."""
+    forward = Rotation.from_rotvec(root_rotation).apply([0.0, 0.0, 1.0])
+    return float(np.arctan2(forward[0], forward[2]))
+
+
+def _held(poses: Poses, angles: np.ndarray) -> Poses:
+    """The first frame's pose, in each frame turned around the world's y axis by an angle, (T,) radians."""
+    turn = Rotation.from_rotvec(angles[:, None] * [0.0, 1.0, 0.0])
+    return Poses(
+        np.arange(len(angles), dtype=np.int32),
+        np.einsum("tij,vj->tvi", turn.as_matrix(), poses.vertices[0]),
+        np.repeat(poses.pose[:1], len(angles), axis=0),
+        (turn * Rotation.from_rotvec(poses.root_rotation[0])).as_rotvec(),
+        turn.apply(poses.translation[0]),
+        poses.shape,
     )
 
 

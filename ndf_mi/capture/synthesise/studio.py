@@ -26,22 +26,25 @@ class Studio:
     """
 
     def __init__(self, layers: Sequence[Layer], spp: int, light: str = lighting.DEFAULT) -> None:
-        scene: dict = {"type": "scene", "light": lighting.emitter(light)}
+        self._light = lighting.light(light)
+        scene: dict = {"type": "scene"} if self._light.flat else {"type": "scene", "light": lighting.emitter(light)}
         self._keys = []
         for i, layer in enumerate(layers):
             name = f"layer{i}"
-            scene[name] = _mesh(name, layer)
+            scene[name] = _mesh(name, layer, self._light.flat)
             self._keys.append(f"{name}.vertex_positions")
         self._scene = mi.load_dict(scene)
         self._parameters = mi.traverse(self._scene)
-        self._integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH, "hide_emitters": True})
+        self._integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH, "hide_emitters": not self._light.flat})
         self._sampler = mi.load_dict({"type": "multijitter", "sample_count": spp})
         self._faces = [layer.faces for layer in layers]
         self._points = np.empty((0, 3))
         self._edge = 0.0
 
-    def pose(self, layers: Sequence[np.ndarray]) -> None:
-        """Moves the layers to these world vertices, (N, 3) each."""
+    def pose(self, layers: Sequence[np.ndarray], heading: float = 0.0) -> None:
+        """Moves the layers to these world vertices, (N, 3) each, and turns a light that is carried to `heading`, radians around y."""
+        if self._light.carried:
+            self._parameters["light.to_world"] = mi.Transform4f().rotate([0, 1, 0], float(np.degrees(heading)))
         for key, vertices in zip(self._keys, layers, strict=True):
             self._parameters[key] = mi.Float(np.ascontiguousarray(vertices, dtype=np.float32).ravel())
         self._parameters.update()
@@ -83,9 +86,13 @@ class Studio:
         return np.flatnonzero(maximum_filter(seen, size=2 * reach + 1)).astype(np.uint32)
 
 
-def _mesh(name: str, layer: Layer) -> mi.Mesh:
+def _mesh(name: str, layer: Layer, flat: bool) -> mi.Mesh:
     properties = mi.Properties()
-    properties["mesh_bsdf"] = mi.load_dict(lighting.MATERIALS[layer.material])
+    if flat:
+        properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": 0.0})
+        properties["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_color"}})
+    else:
+        properties["mesh_bsdf"] = mi.load_dict(lighting.MATERIALS[layer.material])
     mesh = mi.Mesh(name, len(layer.rest), len(layer.faces), has_vertex_normals=True, props=properties)
     mesh.add_attribute("vertex_color", 3, np.ascontiguousarray(layer.colour, dtype=np.float32).ravel())
     parameters = mi.traverse(mesh)

@@ -15,6 +15,7 @@ import numpy as np
 from ndf_mi.body.anny import load_anny
 from ndf_mi.capture.document import FILE_NAME, Document
 from ndf_mi.capture.synthesise import lighting, plan
+from ndf_mi.capture.synthesise.look import Look
 from ndf_mi.capture.synthesise.performer import Performer
 from ndf_mi.capture.synthesise.ring import camera_ring
 from ndf_mi.capture.synthesise.studio import Studio
@@ -41,6 +42,7 @@ def synthesise(
     overwrite: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
     light: str = lighting.DEFAULT,
+    look: Look = Look(),  # noqa: B008
 ) -> Path:
     """Makes a capture in the folder ``out``, or goes on where an interrupted call with the same settings stopped.
 
@@ -51,6 +53,7 @@ def synthesise(
         overwrite: makes anew what is in ``out`` where that is a capture; never replaces anything else.
         progress: called with the numbers of images done and to do, first with those that are there already.
         light: name of the light. Captures of the same settings and name differ in it alone: performer, poses, cameras and masks agree.
+        look: what the performer wears and does.
 
     Returns:
         ``out``; nothing is done where the very capture is there already.
@@ -59,16 +62,18 @@ def synthesise(
         InputError: ``out`` holds something else; there is no such light; or the body's data are missing.
     """
     out = Path(out)
-    lighting.light(light)
-    made_with = {"name": name, "recipe": RECIPE, "mitsuba": metadata.version("mitsuba"), **asdict(settings)}
+    constant = lighting.light(light).constant
+    # A look's choices are left out at their defaults, as the light is.
+    made_with = {"name": name, "recipe": RECIPE, "mitsuba": metadata.version("mitsuba"), **asdict(settings), **look.changes()}
     if light != lighting.DEFAULT:
         # Left out at its default, so that captures made before there was a choice are known again.
         made_with["light"] = light
     _claim(out, made_with, overwrite)
     body = load_anny()
-    poses = plan.motion(body, settings)
+    poses = plan.motion(body, settings, look.motion)
     cameras = camera_ring(settings.cameras, settings.pixels, poses.vertices, settings.seed)
-    document = Document(name, BACKGROUND, cameras, plan.splits(settings, list(cameras)), lighting=lighting.SCENE)
+    scene = lighting.SCENE if constant else None
+    document = Document(name, BACKGROUND, cameras, plan.splits(settings, list(cameras)), lighting=scene)
     pairs = document.images()
     progress(len(pairs) if (out / FILE_NAME).is_file() else 0, len(pairs))
     if (out / FILE_NAME).is_file():
@@ -80,20 +85,20 @@ def synthesise(
     done = len(pairs) - len(missing)
     progress(done, len(pairs))
     if missing:
-        performer = Performer(body, plan.shape_of(body))
+        performer = Performer(body, plan.shape_of(body), look)
         studio = Studio(performer.layers, settings.spp, light)
         for frame in sorted({frame for _, frame in missing}):
             row = poses.index(frame)
-            studio.pose(
-                performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row], poses.vertices[row])
-            )
+            layers = performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row], poses.vertices[row])
+            studio.pose(layers, plan.heading(poses.root_rotation[row]))
             for camera in (camera for camera, of in missing if of == frame):
                 seed = (settings.seed * 1009 + frame) * 101 + list(cameras).index(camera)
                 radiance, coverage = studio.render(cameras[camera], seed % 2**31)
                 writer.write(camera, frame, composite(radiance, coverage), coverage > 0)
                 done += 1
                 progress(done, len(pairs))
-    lighting.write(out, light)
+    if constant:
+        lighting.write(out, light)
     writer.finish(body, poses)
     return out
 

