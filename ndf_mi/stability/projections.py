@@ -78,7 +78,8 @@ def judge(at: str, shape: Shape, points: np.ndarray, band: float, sign: np.ndarr
     length = shape.edge + nearest.distance
     texel = np.einsum("nk,nki->ni", weights, shape.texels[triangle].astype(np.float64))
     spread = np.abs(shape.texels[triangle]).max()
-    ours = np.einsum("nk,nki->ni", found.barycentric.numpy().T.astype(np.float64), corners - corners[:, :1])
+    own = found.barycentric.numpy().T.astype(np.float64)
+    ours = np.einsum("nk,nki->ni", own, corners - corners[:, :1])
     theirs = np.einsum("nk,nki->ni", weights, corners - corners[:, :1])
     primal = max(error(l, signed, length), error(ours, theirs, length[:, None]),
                  error(found.uv.numpy().T, texel, spread) if smooth else 0.0,
@@ -86,11 +87,13 @@ def judge(at: str, shape: Shape, points: np.ndarray, band: float, sign: np.ndarr
 
     # Which way is up, and how well the offset tells.
     far = nearest.distance > 1e-6 * shape.edge
-    direction = offset / np.maximum(nearest.distance, 1e-300)[:, None] * np.where(sign == 0, np.sign(l), sign)[:, None]
+    reach = np.linalg.norm(offset, axis=1, keepdims=True)
+    direction = offset / np.maximum(reach, 1e-300) * np.where(sign == 0, np.sign(l), sign)[:, None]
     scale = 1 + shape.edge / np.maximum(nearest.distance, 1e-300)
-    unit = np.abs(np.linalg.norm(slope, axis=1) - 1).max()
+    unit = np.abs(np.linalg.norm(slope[far], axis=1) - 1).max(initial=0)
     expected = np.zeros_like(vertices)
-    np.add.at(expected, shape.faces[triangle].ravel(), -(weights[:, :, None] * slope[:, None]).reshape(-1, 3))
+    # By the weights found: those of a sliver are hardly determined, only the point is, which has been compared.
+    np.add.at(expected, shape.faces[triangle].ravel(), -(own[:, :, None] * slope[:, None]).reshape(-1, 3))
     count = np.bincount(shape.faces[triangle].ravel(), minlength=len(vertices))[:, None]
     gradient = max(error(slope[far], direction[far], scale[far][:, None]), float(unit), error(pull, expected, 1.0 + count))
     if smooth:
