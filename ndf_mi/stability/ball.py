@@ -53,6 +53,16 @@ class Ridge:
     peak: int
 
     @property
+    def vertices(self) -> np.ndarray:
+        """(V, 3) float32."""
+        return self.run.poses.vertices[0]
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(F, 3)."""
+        return self.run.body.faces
+
+    @property
     def preset(self) -> Preset:
         """The run's."""
         return self.run.model.field.preset
@@ -60,8 +70,8 @@ class Ridge:
     def density(self, l: np.ndarray, peak: float = PEAK) -> np.ndarray:
         """σ in 1/m at distances l, float64."""
         p = self.preset
-        whole = p.band + p.band_inside
-        unit, low, high = ((at + p.band_inside) / whole for at in (l, LOW, HIGH))
+        size = p.band / 0.08
+        unit, low, high = ((at + p.band_inside) / (p.band + p.band_inside) for at in (l, size * LOW, size * HIGH))
         z = peak - SLOPE * (np.maximum(unit - high, 0) + np.maximum(low - unit, 0))
         sigma = -p.density_limit * np.expm1(-p.density_gain * np.logaddexp(0, z) / p.density_limit)
         for depth in ((p.band - l) / p.band, (p.band_inside + l) / p.band_inside):

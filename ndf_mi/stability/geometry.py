@@ -107,20 +107,18 @@ def between_limbs() -> Iterator[Measured]:
 
 @case("slivers, from triangles as thin as they get to those without area", "angles of 1 to 1e-20 and 0, at each corner", relative_to=LENGTHS)
 def slivers() -> Iterator[Measured]:
-    """Single triangles, two long sides apart by an angle; the sharp corner first, second and third."""
+    """Lone triangles, two of their sides apart by an angle at one corner or at two; each corner comes first once."""
     rng = np.random.default_rng(4)
     for angle in (*(10.0**-k for k in range(21)), 0.0):
-        worst = Measured("", 0.0, 0.0)
-        for corners in ([[0, 0, 0], [0.5, 0, 0], [0.5 * np.cos(angle), 0.5 * np.sin(angle), 0]],
-                        [[0, 0, 0], [0.5, 0, 0], [0.21, 0.29 * min(angle, 1), 0]]):
-            for first in range(3):
-                shape = Shape(np.roll(np.array(corners), first, 0).astype(np.float32), np.array([[0, 1, 2]]), closed=False)
-                weights = rng.dirichlet((1, 1, 1), 100)
-                on = weights @ shape.vertices.astype(np.float64)
-                points = np.concatenate([on, on + rng.normal(0, 0.03, (100, 3)), on + rng.normal(0, 0.03 * angle, (100, 3))])
-                found = judge("", shape, points, 0.5, smooth=False)
-                worst = Measured("", max(worst.primal, found.primal), max(worst.gradient or 0, found.gradient or 0))
-        yield Measured(f"{angle:g}", worst.primal, worst.gradient)
+        sharp = [[0, 0, 0], [0.5, 0, 0], [0.5 * np.cos(angle), 0.5 * np.sin(angle), 0]]
+        flat = [[0, 0, 0], [0.5, 0, 0], [0.21, 0.29 * min(angle, 1), 0]]
+        # One above the other, far enough apart not to mix.
+        corners = np.concatenate([np.roll(np.array(kind), first, 0) + [0, 0, 2.0 * (3 * place + first)]
+                                  for place, kind in enumerate((sharp, flat)) for first in range(3)]).astype(np.float32)
+        shape = Shape(corners, np.arange(18).reshape(6, 3), closed=False)
+        on = np.einsum("nfk,fki->nfi", rng.dirichlet((1, 1, 1), (60, 6)), corners.reshape(6, 3, 3).astype(np.float64)).reshape(-1, 3)
+        points = np.concatenate([on, on + rng.normal(0, 0.03, on.shape), on + rng.normal(0, 0.03 * angle, on.shape)])
+        yield judge(f"{angle:g}", shape, points, 0.5, smooth=False)
     for corners in ([[0.1, 0.2, 0.3]] * 3, [[0, 0, 0], [0, 0, 0], [0.4, 0.1, 0]], [[0, 0, 0], [0.5, 0.5, 0.5], [0.25, 0.25, 0.25]]):
         shape = Shape(np.array(corners, np.float32), np.array([[0, 1, 2]]), closed=False)
         points = rng.uniform(-0.2, 0.6, (100, 3))
