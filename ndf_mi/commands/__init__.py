@@ -43,6 +43,7 @@ ENTRIES = (
     Entry("ablate", "ablate", "Ablate", "train every ablation on a capture; write their table and report.html"),
     Entry("render", "render", "Render", "render a scene or a trained run to an image"),
     Entry("animate", "animate", "Animate", "render a trained run in any motion, as a video"),
+    Entry("stability", "stability", "Stability", "hold numbers at their extremes against float64; exit non-zero where a promise is broken"),
     Entry("demo", "demo", "Demo", "all of the above on a small capture, in minutes"),
 )
 

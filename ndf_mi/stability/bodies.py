@@ -36,7 +36,7 @@ def turned(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return expm(cross(v)), np.array(derivatives)
 
 
-@case("rotations by axis and angle", "0, 1e-38 to 1e-2, about 0.1, π/2, π ± 1e-6, 2π ± 1e-6", relative_to="1, the length of the matrix's columns")
+@case("rotations by axis and angle", "0, 1e-38 to 1e-2, about 0.1, π/2, π ± 1e-6, 2π ± 1e-6", relative_to="1, the columns' length")
 def rotations() -> Iterator[Measured]:
     """The nine entries and their 27 derivatives, about five axes."""
     vectors = (np.array(ANGLES)[:, None, None] * AXES).astype(np.float32).reshape(-1, 3)
@@ -103,6 +103,15 @@ def _derivative(function: Callable[[np.ndarray], float], at: np.ndarray, step: f
     return flat.reshape(at.shape)
 
 
+def _pulled(body: Body, values: list[np.ndarray], index: int, pull: np.ndarray) -> Callable[[np.ndarray], float]:
+    """The posed vertices times `pull` (V, 3), summed, as a function of one of the arguments of :func:`skinned64`."""
+    def along(value: np.ndarray) -> float:
+        pose, root, translation, shape = (value if k == index else other for k, other in enumerate(values))
+        return float((skinned64(body, pose, root, translation, shape) * pull).sum())
+
+    return along
+
+
 @case("skinned bodies, all joints at one angle, and derivatives in pose, place and shape", "angles as above; bodies of 1 mm to 1 km, up to "
       "1e6 m away", relative_to="the body's size and, for places, that of its coordinates; derivatives to the largest")
 def skinned_bodies() -> Iterator[Measured]:
@@ -124,13 +133,9 @@ def skinned_bodies() -> Iterator[Measured]:
         dr.backward(dr.sum(vertices * mi.Float(pull.ravel())))
         truth = skinned64(body, *exact)
         gradient = 0.0
+        # Far away, places would take the digits that the differences need; they are only added.
+        near = [*exact[:2], 0 * exact[2], exact[3]]
         for index, argument in enumerate(arguments):
-            def along(value: np.ndarray, index: int = index) -> float:
-                # Far away, places would take the digits that the differences need.
-                moved = [*exact[:2], exact[2] * 0, exact[3]]
-                moved[index] = value if index != 2 else value - exact[2]
-                return float((skinned64(body, *moved) * pull).sum())
-
-            slope = _derivative(along, exact[index], 2e-3 * (size if index == 2 else 1))
+            slope = _derivative(_pulled(body, near, index, pull), near[index], 2e-3 * (size if index == 2 else 1))
             gradient = max(gradient, error(dr.grad(argument).numpy().reshape(slope.shape), slope, np.abs(slope).max()))
         yield Measured(f"{angle:.8g}, {size:g} m at {away:g} m", error(vertices.numpy().reshape(-1, 3), truth, size + away), gradient)

@@ -71,8 +71,8 @@ def pixel_rays(scene: mi.Scene, camera: Camera) -> mi.Ray3f:
     return ray
 
 
-@case("cameras in the band, in the body, touching a triangle, grazing shell and surface: ndf_quadrature in a scene", "ten cameras of 8 × 8 pixels",
-      relative_to="1: full opacity, white; gradients to a ray's largest")
+@case("cameras in the band, in the body, touching a triangle, grazing shell and surface: ndf_quadrature in a scene",
+      "ten cameras of 8 × 8 pixels", relative_to="1: full opacity, white; gradients to a ray's largest")
 def cameras_by_quadrature() -> Iterator[Measured]:
     """The integrator's colours and opacities along the sensor's rays, and the derivative of their sum in one of the medium's weights."""
     with ridge() as ball:
@@ -115,8 +115,8 @@ def cameras_by_path_tracing() -> Iterator[Measured]:
             yield Measured(name, error(images.mean(), clear.mean(), max(noise, 1e-5)) if np.isfinite(images).all() else np.inf)
 
 
-@case("shells contain the whole band", "bodies of 1 mm to 1 km, 0 to 1e3 m from the origin; and cells too small for them", primal=0.0, gradient=None,
-      relative_to="all points tried: the share outside")
+@case("shells contain the whole band", "bodies of 1 mm to 1 km, 0 to 1e3 m from the origin; and cells too small for them",
+      primal=0.0, gradient=None, relative_to="all points tried: the share outside")
 def shells() -> Iterator[Measured]:
     """Random points of the band against the solid angle of the shell; a grid that would not fit memory is refused."""
     vertices, faces = icosphere(1, 1.0)

@@ -30,7 +30,8 @@ def slope_of(function: Callable[[mi.Float], mi.Float], at: np.ndarray) -> tuple[
     return value.numpy().astype(np.float64), dr.grad(x).numpy().astype(np.float64)
 
 
-@case("density from the network's output: exactly zero, just above it, up to its limit, under the majorant", "outputs of 0 and ±1e-38 to ±1e38")
+@case("density from the network's output: exactly zero, just above it, up to its limit, under the majorant",
+      "outputs of 0 and ±1e-38 to ±1e38")
 def activation() -> Iterator[Measured]:
     """Both activations. The density never passes its limit, and the majorant stays 4 % above it."""
     bounds = {name: Field(preset(name), JOINTS, 1).bind(dr.zeros(mi.Float, 3 * JOINTS)) for name in ("fast", "paper")}
@@ -55,8 +56,8 @@ def activation() -> Iterator[Measured]:
         yield Measured(f"{z:g}", primal, gradient)
 
 
-@case("networks whose hidden values lie far beyond half precision (6e-8 to 65504), batched and fused", "hidden values times 2^-100 to 2^100",
-      relative_to="density limit and white; gradients to the largest")
+@case("networks whose hidden values lie far beyond half precision (6e-8 to 65504), batched and fused",
+      "hidden values times 2^-100 to 2^100", relative_to="density limit and white; gradients to the largest")
 def hidden_values() -> Iterator[Measured]:
     """A ReLU layer times s, the next by 1/s, is the same network. Nothing here is of half precision: where a backend's cooperative
     vectors are, :func:`ndf_mi.variants.fused_width` keeps to matrix products."""
@@ -102,8 +103,8 @@ def hidden_values() -> Iterator[Measured]:
         yield Measured(f"2^{power}", primal, gradient)
 
 
-@case("colours at 0 and 1: the networks' last layer, the sRGB curve and its inverse", "outputs of 0 and ±1e-3 to ±1e38; values of 0, 1e-38 to 10",
-      relative_to="1, white, for the last layer; else the value")
+@case("colours at 0 and 1: the networks' last layer, the sRGB curve and its inverse",
+      "outputs of 0 and ±1e-3 to ±1e38; values of 0, 1e-38 to 10", relative_to="1, white, for the last layer; else the value")
 def colours() -> Iterator[Measured]:
     """The curve's derivative jumps at its toe, where it is not tried."""
     def last(c: mi.Float) -> mi.Float:
@@ -157,8 +158,8 @@ def coordinates_beyond() -> Iterator[Measured]:
                            error(across[outside], np.zeros(outside.sum()), largest) if np.isfinite(slope).all() else np.inf)
 
 
-@case("majorants against densities: from samples between nested shells, up to densities at their very limit", "limits of 1e-2 to 1e5 per metre",
-      primal=0.0, gradient=None, relative_to="the majorant: by how much a density is above it, or the density where it equals it")
+@case("majorants against densities: from samples between nested shells, up to densities at their very limit",
+      "limits of 1e-2 to 1e5 per metre", primal=0.0, gradient=None, relative_to="the majorant: the excess over it, or 1 where equal")
 def majorants() -> Iterator[Measured]:
     """At random points of the band, where the density's formula in float64 is compared with the majorant of the layer it is in. Half of
     the fields are so dense that they reach their limit."""
@@ -167,7 +168,7 @@ def majorants() -> Iterator[Measured]:
         vertices = mi.Float(ball.vertices.ravel())
         weights = model.field.weights.numpy()
         shape = model.field.preset
-        for decade in range(-2, 6):
+        for decade in (-2, 0, 3, 5):
             for peak in (PEAK, 30.0):
                 limit = 10.0**decade
                 model.field.preset = dataclasses.replace(shape, density_limit=limit, density_gain=limit / 3)

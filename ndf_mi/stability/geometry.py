@@ -1,4 +1,4 @@
-"""The projection onto the posed mesh: on and around its surface, edges and corners; meshes that are thin, folded, tiny, huge or far away."""
+"""The projection onto the posed mesh: around its surface, edges and corners; meshes thin, folded, tiny, huge or far away."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ def on_edges_and_vertices() -> Iterator[Measured]:
         yield judge(f"{distance:g} m", shape, points, 0.2, sign, smooth=False)
 
 
-@case("points around a mesh: texels and their derivatives too", "0 to 0.25 m", relative_to=LENGTHS + ", derivatives of texels to the largest")
+@case("points around a mesh: texels and their derivatives too", "0 to 0.25 m",
+      relative_to=LENGTHS + ", derivatives of texels to the largest")
 def around_the_surface() -> Iterator[Measured]:
     """Random points about a ball in which each edge is a seam."""
     shape = ball()
@@ -105,7 +106,8 @@ def between_limbs() -> Iterator[Measured]:
         yield judge(f"{off:g} m", shape, plane + [off, 0, 0], 0.2, smooth=False)
 
 
-@case("slivers, from triangles as thin as they get to those without area", "angles of 1 to 1e-20 and 0, at each corner", relative_to=LENGTHS)
+@case("slivers, from triangles as thin as they get to those without area", "angles of 1 to 1e-20 and 0, at each corner",
+      relative_to=LENGTHS)
 def slivers() -> Iterator[Measured]:
     """Lone triangles, two of their sides apart by an angle at one corner or at two; each corner comes first once."""
     rng = np.random.default_rng(4)
@@ -119,8 +121,8 @@ def slivers() -> Iterator[Measured]:
         on = np.einsum("nfk,fki->nfi", rng.dirichlet((1, 1, 1), (60, 6)), corners.reshape(6, 3, 3).astype(np.float64)).reshape(-1, 3)
         points = np.concatenate([on, on + rng.normal(0, 0.03, on.shape), on + rng.normal(0, 0.03 * angle, on.shape)])
         yield judge(f"{angle:g}", shape, points, 0.5, smooth=False)
-    for corners in ([[0.1, 0.2, 0.3]] * 3, [[0, 0, 0], [0, 0, 0], [0.4, 0.1, 0]], [[0, 0, 0], [0.5, 0.5, 0.5], [0.25, 0.25, 0.25]]):
-        shape = Shape(np.array(corners, np.float32), np.array([[0, 1, 2]]), closed=False)
+    for flattened in ([[0.1, 0.2, 0.3]] * 3, [[0, 0, 0], [0, 0, 0], [0.4, 0.1, 0]], [[0, 0, 0], [0.5, 0.5, 0.5], [0.25, 0.25, 0.25]]):
+        shape = Shape(np.array(flattened, np.float32), np.array([[0, 1, 2]]), closed=False)
         points = rng.uniform(-0.2, 0.6, (100, 3))
         yield judge("no area", shape, points, 2.0, smooth=False)
 

@@ -13,7 +13,7 @@ from ndf_mi.stability.case import Measured, case, error
 SIZE = 12
 
 
-def plain(value: float) -> np.ndarray:
+def plain(value: float | np.floating) -> np.ndarray:
     """An image of one grey."""
     return np.full((SIZE, SIZE, 3), value, np.float32)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -11,6 +12,7 @@ import numpy as np
 from ndf_mi.numerics import expm1, log1p, softplus
 from ndf_mi.render.quadrature import Radiance, quadrature
 from ndf_mi.stability.case import Measured, case, error
+from ndf_mi.stability.network64 import logistic
 from ndf_mi.stability.slab import Slab, Truth, integrate
 
 TERMS = "the terms' sum: what a segment adds less what it hides"
@@ -64,7 +66,8 @@ def segment_length() -> Iterator[Measured]:
         sigma = np.full((3, 4), 4 / length).astype(np.float32) * np.array([[0.1], [1], [3]], np.float32)
         slab = Slab(sigma, None, length)
         seen, *gradients = through(slab, 4)
-        yield compare(f"1e{decade} m", slab, seen, (gradients[0], gradients[1]), integrate(sigma, slab.colour.numpy()[0], length), slice(None))
+        truth = integrate(sigma, slab.colour.numpy()[0], length)
+        yield compare(f"1e{decade} m", slab, seen, (gradients[0], gradients[1]), truth, slice(None))
 
 
 @case("number of samples a ray", "1 to 100,000", relative_to=TERMS)
@@ -95,9 +98,10 @@ def elementary_functions() -> Iterator[Measured]:
     for decade in range(-38, 39):
         x = 10.0**decade * np.array([1.0, 2.2, 7.3])
         x = x[x < 3e38].astype(np.float32).astype(np.float64)
-        tries = [(expm1, np.expm1, np.exp, np.concatenate([-x, x[x <= 80]])),
-                 (log1p, np.log1p, lambda v: 1 / (1 + v), x),
-                 (softplus, lambda v: np.logaddexp(0, v), _logistic, np.concatenate([x, -x]))]
+        tries: list[tuple[Any, Any, Any, np.ndarray]] = [
+            (expm1, np.expm1, np.exp, np.concatenate([-x, x[x <= 80]])),
+            (log1p, np.log1p, lambda v: 1 / (1 + v), x),
+            (softplus, lambda v: np.logaddexp(0, v), logistic, np.concatenate([x, -x]))]
         primal, gradient = 0.0, 0.0
         for ours, theirs, slope, at in tries:
             value = mi.Float(at)
@@ -107,8 +111,3 @@ def elementary_functions() -> Iterator[Measured]:
             primal = max(primal, error(result.numpy(), theirs(at)))
             gradient = max(gradient, error(dr.grad(value).numpy(), slope(at)))
         yield Measured(f"1e{decade}", primal, gradient)
-
-
-def _logistic(x: np.ndarray) -> np.ndarray:
-    small = np.exp(-np.abs(x))
-    return np.where(x < 0, small, 1.0) / (1.0 + small)

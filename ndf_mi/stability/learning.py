@@ -69,8 +69,8 @@ def radiance(colour: np.ndarray, opacity: np.ndarray) -> Radiance:
     return Radiance(c, o, mi.Float(0), None, None, None, mi.Bool(False), 0)  # type: ignore[arg-type]
 
 
-@case("image losses of all black, all white and bright images, opacity and mask included", "linear values of 0, 1e-38 to 1e3; opacities 0, 1e-7, 1",
-      relative_to="the value; gradients to the largest of a batch")
+@case("image losses of all black, all white and bright images, opacity and mask included",
+      "linear values of 0, 1e-38 to 1e3; opacities 0, 1e-7, 1", relative_to="the value; gradients to the largest of a batch")
 def losses() -> Iterator[Measured]:
     """The loss in sRGB over a background, and its derivatives in colour and opacity, written out."""
     options = dataclasses.replace(OPTIONS, edge_weight=0.0)
@@ -107,9 +107,10 @@ def noisy_losses() -> Iterator[Measured]:
     for value in (0.0, 1e-38, 1e-20, 1e-7, 1e-3, 0.5, 1.0, 10.0, 1e3):
         for target in (0.0, 0.04, 1.0):
             estimates = (value * rng.uniform(0, 2, (5, 8, 3))).astype(np.float32)
-            found, adjoint = NoisyLoss(8)(mi.Color3f(np.ascontiguousarray(estimates.reshape(-1, 3).T)), mi.Color3f(dr.full(mi.Float, target, 5)))
+            flat = mi.Color3f(np.ascontiguousarray(estimates.reshape(-1, 3).T))
+            found, adjoint = NoisyLoss(8)(flat, mi.Color3f(dr.full(mi.Float, target, 5)))
             f = estimates.astype(np.float64)
-            aim = float(decode(np.float64(np.float32(target))))
+            aim = float(decode(np.array(target, np.float32).astype(np.float64)))
             slope = 12.92 if aim <= 0.0031308 else 1.055 / 2.4 * aim ** (1 / 2.4 - 1)
             others = (f.sum(1, keepdims=True) - f) / 7
             terms = slope**2 * (f - aim) * (others - aim) / (3 * 40)

@@ -16,7 +16,7 @@ from ndf_mi.stability.closest import closest, inside, on_triangles
 
 @dataclass(frozen=True)
 class Shape:
-    """A mesh, float32 (V, 3) and (F, 3), with a chart for each triangle unless `uv` (3F, 2) says otherwise; `closed` if it has an inside."""
+    """A mesh, float32 (V, 3) and (F, 3), with a chart for each triangle unless `uv` (3F, 2) says otherwise; `closed`: has an inside."""
 
     vertices: np.ndarray
     faces: np.ndarray

@@ -100,7 +100,7 @@ def one_pixel() -> Iterator[Measured]:
                 camera = Window(w, h, (0.02, 0.03, 1.2))
                 y, x = (v.ravel() + 0.5 for v in np.mgrid[:h, :w])
                 direction = camera.directions(x, y)
-                truth = march(ball, np.tile(np.float32(camera.place), (w * h, 1)), direction.astype(np.float32), samples)
+                truth = march(ball, np.tile(np.array(camera.place, np.float32), (w * h, 1)), direction.astype(np.float32), samples)
                 image = ImageRenderer(samples, cutoff=0.0)(ball.run.posed(0), camera)
                 yield Measured(f"{w} × {h}, {samples} samples", max(
                     error(image.opacity.ravel(), truth.opacity, 1.0), error(image.depth.ravel(), truth.depth, 1.0),
@@ -114,7 +114,7 @@ def a_nan_in_one_lane() -> Iterator[Measured]:
     with ridge() as ball:
         rng = np.random.default_rng(8)
         origin = np.concatenate([rng.uniform(-0.3, 0.3, (40, 2)), np.full((40, 1), 1.2)], 1).astype(np.float32)
-        direction = np.tile(np.float32([0, 0, -1]), (40, 1))
+        direction = np.tile(np.array([0, 0, -1], np.float32), (40, 1))
         truth = march(ball, origin, direction, 64)
         whole = np.arange(40) != 17
         expected = (truth.slope * (1 + linear(GREY)))[whole].sum()

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
 
 from ndf_mi.errors import InputError
-from ndf_mi.stability.case import CASES, Case, Result
+from ndf_mi.stability.case import CASES, Case
 
 SUBJECTS = ("integration", "rays", "fields", "geometry", "bodies", "cameras", "learning", "images")
 """Modules of this package that hold cases, in the order that they are run."""
@@ -25,8 +24,3 @@ def cases(names: tuple[str, ...] = ()) -> list[Case]:
         raise InputError("--only", ", ".join(wrong), f"subjects ({', '.join(SUBJECTS)}) or cases ({', '.join(CASES)})")
     return [case for case in CASES.values() if not names or case.name in names or case.subject in names]
 
-
-def run(chosen: list[Case]) -> Iterator[Result]:
-    """Tries cases one after the other."""
-    for case in chosen:
-        yield case.run()
