@@ -106,10 +106,10 @@ def cameras_by_path_tracing() -> Iterator[Measured]:
             within = not name.startswith(("outside", "deep", "grazing"))
             scene = scene_of(ball, {"type": "volpath", "max_depth": 4, "rr_depth": 100}, camera, within, sky={"type": "constant"})
             images = np.stack([mi.render(scene, spp=64, seed=seed).numpy()[..., 0] for seed in range(2)]).astype(np.float64)
-            fine = camera.scaled(8 * camera.w, 8 * camera.h)
+            fine = camera.scaled(4 * camera.w, 4 * camera.h)
             ray = pixel_rays(scene, fine)
             origin, direction = (v.numpy().T for v in (ray.o + dr.zeros(mi.Point3f, dr.width(ray.d)), ray.d))
-            clear = 1 - march(ball, origin, direction, 128).opacity
+            clear = 1 - march(ball, origin, direction, 48).opacity
             # Of a path's outcome, 0 or 1, by the share of those that get through.
             noise = np.sqrt(np.mean(clear * (1 - clear)) / (images.size * 64))
             yield Measured(name, error(images.mean(), clear.mean(), max(noise, 1e-5)) if np.isfinite(images).all() else np.inf)

@@ -154,15 +154,15 @@ def texels_outside() -> Iterator[Measured]:
         yield judge(f"1e{decade}", Shape(shape.vertices, shape.faces, uv=uv), points, 0.2)
 
 
-@case("bodies of any size, at any place", "1 mm to 1 km, 0 to 1e6 m from the origin",
+@case("bodies of any size, at any place", "1 mm to 1 km, 0 to 1e6 m from the origin; triangles down to 10 nm",
       relative_to="lengths to the longest edge, or to what float32 can tell at that place")
 def sizes_and_places() -> Iterator[Measured]:
     """The mesh and the points are rounded to float32 before anything is compared: what rounding has made of a body far away, down to a
-    single point, is taken as it is."""
+    single point, is taken as it is. Meshes below a millimetre stand for the small triangles of larger bodies."""
     vertices, faces = ball().vertices.astype(np.float64) / 0.6, ball().faces
-    for decade in range(-3, 4):
+    for decade in range(-7, 4):
         size = 10.0**decade
-        for place in (0.0, 1.0, 1e3, 1e6):
+        for place in (0.0, 1.0, 1e3, 1e6) if decade >= -3 else (0.0,):
             shape = Shape((vertices * size + place * np.array([0.6, -0.8, 0.0])).astype(np.float32), faces)
             # Where rounding has folded the mesh onto itself, there is no inside to tell.
             step = np.spacing(np.float32(place))

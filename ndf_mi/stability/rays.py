@@ -142,7 +142,7 @@ def a_nan_in_one_lane() -> Iterator[Measured]:
 def along_the_box() -> Iterator[Measured]:
     """Where the interval begins and ends; on the very face of the box a ray may count as in or out."""
     low, high = np.array([-0.5, -0.25, 1.0]), np.array([0.5, 0.75, 1.5])
-    box = mi.BoundingBox3f(mi.Point3f(*low), mi.Point3f(*high))
+    box = mi.BoundingBox3f(mi.Point3f(-0.5, -0.25, 1.0), mi.Point3f(0.5, 0.75, 1.5))
     starts = [[0, 0, 0], [0.5, 0, 0], [-0.5, 0.75, 0], [0, 0, 1.25], [0.5, 0.75, 1.5], [-0.5, -0.25, 1.0], [0, 0, 1.0], [7, 3, -9]]
     for off in (0.0, *(10.0**-k for k in range(0, 31, 3))):
         origin = np.repeat(np.array(starts), 6, 0).astype(np.float32)
