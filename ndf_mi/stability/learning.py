@@ -32,7 +32,7 @@ from ndf_mi.stability.network64 import decode, encode
 
 OPTIONS = TrainingOptions(steps=4, rays=64, samples=16, seed=3, pose_noise=0.0)
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
-"""Of Adam, as in its paper and in `mi.ad.Adam`."""
+"""Of Adam; `mi.ad.Adam` takes ε² below the root with v."""
 
 
 @contextmanager
@@ -136,7 +136,7 @@ def learning_rates() -> Iterator[Measured]:
             else:
                 _, _, _, (_, m, v, _) = trainer._networks.state["weights"]
                 first, second = (moment.numpy().astype(np.float64) for moment in (m, v))
-                step = rate * first / (1 - BETA_1) / (np.sqrt(second / (1 - BETA_2)) + EPSILON)
+                step = rate * np.sqrt(1 - BETA_2) / (1 - BETA_1) * first / np.sqrt(second + EPSILON**2)
                 worst = error(after, before.astype(np.float64) - step, np.abs(before) + rate)
             try:
                 while trainer.done < 1:

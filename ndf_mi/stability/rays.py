@@ -45,7 +45,7 @@ def nothing(seen: Radiance, weights: mi.Float) -> tuple[float, float]:
 def empty_band() -> Iterator[Measured]:
     """Through the hollow in the body, and through the corners of its box."""
     with ridge() as ball:
-        for count in (1, 7, 10_000):
+        for count in (1, 10_000):
             model, weights = attached(ball)
             rng = np.random.default_rng(count)
             hollow = rng.normal(0, 0.03, (count, 3))
@@ -60,7 +60,7 @@ def empty_band() -> Iterator[Measured]:
 def all_rays_missing() -> Iterator[Measured]:
     """Past it, and away from it; an image of nothing is its background."""
     with ridge() as ball:
-        for count in (1, 7, 10_000):
+        for count in (1, 10_000):
             model, weights = attached(ball)
             origin = np.tile([0.0, 0.0, 3.0], (count, 1))
             for direction in ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0]):
@@ -96,7 +96,7 @@ def one_pixel() -> Iterator[Measured]:
     """Looked at whole and in rounds, front to back."""
     with ridge() as ball:
         for w, h in ((1, 1), (5, 1), (1, 5)):
-            for samples in (1, 7, 64, 4096):
+            for samples in (1, 7, 64, 4096) if w == h else (64,):
                 camera = Window(w, h, (0.02, 0.03, 1.2))
                 y, x = (v.ravel() + 0.5 for v in np.mgrid[:h, :w])
                 direction = camera.directions(x, y)
