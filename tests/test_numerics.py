@@ -1,10 +1,11 @@
-"""expm1, log1p and softplus against numpy in float64, over all decades, with their derivatives."""
+"""expm1, log1p and softplus against numpy in float64, over all decades, with their derivatives; sums of many terms."""
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pytest
 
-from ndf_mi.numerics import expm1, log1p, softplus
+from ndf_mi.numerics import SINGLE, block_sum, expm1, log1p, softplus, sum_before
 
 
 def with_derivative(function, x):
@@ -23,7 +24,7 @@ def test_expm1():
 
 
 def test_log1p():
-    x = np.concatenate([[0], np.logspace(-37, 0, 400)]).astype(np.float32)
+    x = np.concatenate([[0], np.logspace(-37, 38, 800)]).astype(np.float32)
     value, derivative = with_derivative(log1p, x)
     np.testing.assert_allclose(value, np.log1p(x.astype(np.float64)), rtol=1e-6)
     np.testing.assert_allclose(derivative, 1 / (1 + x.astype(np.float64)), rtol=1e-5)
@@ -35,3 +36,19 @@ def test_softplus():
     x64 = x.astype(np.float64)
     np.testing.assert_allclose(value, np.logaddexp(0, x64), rtol=2e-6, atol=1e-37)
     np.testing.assert_allclose(derivative, 1 / (1 + np.exp(-np.clip(x64, -500, 500))), rtol=1e-5, atol=1e-37)
+
+
+@pytest.mark.parametrize("count", [1, SINGLE, SINGLE + 1, 30_000])
+def test_sums_of_many_terms(count):
+    values = np.random.default_rng(count).uniform(0.5, 1.5, (3, count)).astype(np.float32)
+    x = mi.Float(values.ravel())
+    dr.enable_grad(x)
+    exact = values.astype(np.float64)
+    total, before = block_sum(x, count), sum_before(x, count)
+    np.testing.assert_allclose(total.numpy(), exact.sum(1), rtol=2e-6)
+    np.testing.assert_allclose(before.numpy().reshape(3, count), exact.cumsum(1) - exact, rtol=2e-6, atol=1e-6)
+    # Each value counts once in its total and once in the sum before each of those behind it, here with weights.
+    weights = np.random.default_rng(1).uniform(0.5, 1.5, (3, count)).astype(np.float32)
+    dr.backward(dr.sum(total) + dr.sum(before * mi.Float(weights.ravel())))
+    behind = weights.astype(np.float64)[:, ::-1].cumsum(1)[:, ::-1] - weights
+    np.testing.assert_allclose(dr.grad(x).numpy().reshape(3, count), 1 + behind, rtol=4e-6)

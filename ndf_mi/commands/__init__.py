@@ -48,6 +48,7 @@ ENTRIES = (
     Entry("tradeoff", "tradeoff", "Tradeoff", "measure what speed costs in accuracy on a run; write report.html"),
     Entry("render", "render", "Render", "render a scene or a trained run to an image"),
     Entry("animate", "animate", "Animate", "render a trained run in any motion, as a video"),
+    Entry("stability", "stability", "Stability", "hold numbers at their extremes against float64; exit non-zero where a promise is broken"),
     Entry("demo", "demo", "Demo", "all of the above on a small capture, in minutes"),
 )
 

@@ -172,7 +172,7 @@ class BoundField:
             head, h = run.head(out)
         else:
             head = run.rows(out)[0]
-        sigma = self._density(head)
+        sigma = self.activation(head)
 
         for i in range(len(p.colour_linear)):
             h = run.linear(f"linear{i}", h)
@@ -189,8 +189,8 @@ class BoundField:
             return frequency(u, self.preset.octaves)
         return self._encoding(self._grid, u, active)
 
-    def _density(self, z: mi.Float) -> mi.Float:
-        """Activation and saturation."""
+    def activation(self, z: mi.Float) -> mi.Float:
+        """σ in 1/m of the density network's output: the preset's activation, saturated. In [0, `density_limit`] for any z."""
         p = self.preset
         if p.density_activation == "softplus":
             a = softplus(z + p.density_bias)

@@ -1,4 +1,4 @@
-"""Keeps a training sound: a step whose gradient is not finite is not taken."""
+"""Keeps a training sound: a step whose gradient is not finite, or that would make weights so, is not taken."""
 
 from __future__ import annotations
 
@@ -19,12 +19,16 @@ FACTOR = 0.5
 RECOVERY = 10
 """States kept, without a refused step in between, after which the rates are doubled again, up to what was asked for."""
 
+HARMLESS = 1e30
+"""Learning rates below which no step leads out of the range of floats: Adam's are at most ten rates long."""
+
 
 class Guard:
     """Watches over the optimisers of a training.
 
     A step is sound if the loss and the sum of squares of all gradients are finite: then neither a weight nor Adam's second moment, which
-    holds those squares, can become otherwise. At one that is not, the optimisers go back to the last state kept, and the rates are halved.
+    holds those squares, can become otherwise, but at rates near the end of the range of floats: there the weights are looked at after the
+    step. At one that is not sound, the optimisers go back to the last state kept, and the rates are halved.
     A state is kept only once a step from it has proved sound.
 
     What it knows is not part of a checkpoint but for `factor`: a training resumed between a kept state and a refused step goes back to the
@@ -44,6 +48,7 @@ class Guard:
         self.refused = 0
         self._in_a_row = 0
         self._calm = 0
+        self._proved = -1
         self.keep()
 
     def keep(self) -> None:
@@ -65,8 +70,10 @@ class Guard:
         Args:
             step: how many steps have been taken.
         """
-        if step % KEEP_EVERY:
+        # A step that is tried again has proved nothing new.
+        if step % KEEP_EVERY or step == self._proved:
             return
+        self._proved = step
         self.keep()
         self._in_a_row = 0
         self._calm += 1
@@ -74,8 +81,10 @@ class Guard:
             self.factor = min(1.0, self.factor / FACTOR)
             self._calm = 0
 
-    def finite(self) -> bool:
-        """Whether all values are: a rate beyond the range of floats can make them otherwise in a sound step."""
+    def landed(self, rate: float) -> bool:
+        """Whether all values are finite after the step just taken, at rates of at most `rate`: looked at only where it may be otherwise."""
+        if rate < HARMLESS:
+            return True
         return all(bool(dr.all(dr.isfinite(optimiser[key]))) for optimiser in self._optimisers for key in optimiser.keys())  # noqa: SIM118
 
     def refuse(self, step: int) -> None:
@@ -97,7 +106,7 @@ class Guard:
                 optimiser.state[key] = (optimiser.state[key][0], promoted, rate, moments)
         if self._in_a_row > PATIENCE:
             raise InputError(
-                f"step {step}", f"{PATIENCE} steps refused of late, because the loss or its gradient was not finite",
+                f"step {step}", f"{PATIENCE} steps refused of late, because loss, gradient or the weights after it were not finite",
                 "a training that goes on at smaller steps",
                 f"Take a smaller learning rate: it has come down to {self.factor:g} of what was asked for, in vain.")
         self.factor *= FACTOR

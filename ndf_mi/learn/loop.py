@@ -133,8 +133,8 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
                 trainer.step()
                 now = trainer.progress
                 if now.refused > refused:
-                    bar.console.print(f"step {now.step + 1} is not taken: its gradient is not finite. Going on from an earlier state at "
-                                      f"{now.rate_factor:g} of the learning rate")
+                    bar.console.print(f"step {now.step + 1} is not taken: its gradient, or the weights after it, would not be finite. "
+                                      f"Going on from an earlier state at {now.rate_factor:g} of the learning rate")
                     continue
                 if now.step % _LOG_EVERY == 0 or trainer.done >= 1:
                     _log(log, board, trainer)

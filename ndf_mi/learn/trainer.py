@@ -29,7 +29,7 @@ _SMOOTHING = 0.98
 @dataclass(frozen=True)
 class Progress:
     """Where training stands: steps done, seconds spent, smoothed mean squared error in sRGB, samples that reached the networks, steps
-    refused because their gradients were not finite, and what that has left of the learning rates."""
+    refused because their gradients were not finite or the weights would not have been, and what that has left of the learning rates."""
 
     step: int
     seconds: float
@@ -75,6 +75,7 @@ class Trainer:
         self._seconds = 0.0
         self._error = float("nan")
         self._evaluated = 0
+        self._rate = 0.0
 
     def _make_optimisers(self) -> None:
         """Fresh optimisers, without moments, of the weights that the run has, and a guard over them."""
@@ -99,7 +100,8 @@ class Trainer:
         return min(1.0, max(by_steps, by_clock))
 
     def step(self) -> None:
-        """Takes one step; where its gradients are not finite, goes back to the last state kept instead, with smaller rates.
+        """Takes one step; where its gradients are not finite, or the weights would not be, goes back to the last state kept instead, with
+        smaller rates.
 
         Raises:
             InputError: smaller rates have not helped.
@@ -119,6 +121,10 @@ class Trainer:
         self._networks.step()
         if self._table is not None:
             self._table.step()
+        if not self._guard.landed(self._rate):
+            self._guard.refuse(self._step + 1)
+            self._seconds += time.perf_counter() - started
+            return
         if self._occupancy is not None:
             samples = found.seen.samples
             at = self._posed.unit(mi.Point2f(samples.u.x, samples.u.y), samples.u.z)
@@ -157,13 +163,7 @@ class Trainer:
             field.grid = dr.detach(self._table["grid"])
 
     def save(self) -> None:
-        """Writes the state to go on from, then the field.
-
-        Raises:
-            InputError: the weights are not finite, time and again.
-        """
-        if not self._guard.finite():
-            self._guard.refuse(self._step)
+        """Writes the state to go on from, then the field."""
         tensors = adam_tensors(self._networks, "networks")
         if self._table is not None:
             tensors |= adam_tensors(self._table, "table")
@@ -221,6 +221,7 @@ class Trainer:
         options = self.options
         spent = self._spent()
         factor = options.decay**spent * self._guard.factor
+        self._rate = factor * max(options.learning_rate, options.grid_rate)
         self._networks.set_learning_rate(options.learning_rate * factor)
         if self._table is not None:
             self._table.set_learning_rate(options.grid_rate * factor)

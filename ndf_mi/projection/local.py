@@ -35,21 +35,27 @@ def closest_on_triangle(x: mi.Point3f, v0: mi.Point3f, v1: mi.Point3f, v2: mi.Po
     """Projects ``x`` onto the triangle (v0, v1, v2).
 
     The Voronoi region of x is found first (Ericson, *Real-Time Collision Detection*, 5.1.5) from detached values; then
-    the weights are written for that region: they are the solution of the 2 × 2 normal equations on the face, a quotient
-    of dot products on an edge, constants at a corner. A triangle without area (ratio of squares below 1e-6) has no
+    the weights are written for that region: on the face they come from what the second edge and x have beside the first
+    (Gram and Schmidt: the 2 × 2 normal equations would lose twice as many digits in a thin triangle), on an edge they are
+    a quotient of dot products, at a corner constants. A triangle without area (a sine below 1e-6 at v0) has no
     face region, an edge without length no inside, so that every value and gradient stays finite.
     """
     e1, e2, q = v1 - v0, v2 - v0, x - v0
     e3 = v2 - v1
-    a, b, c = dr.squared_norm(e1), dr.dot(e1, e2), dr.squared_norm(e2)
+    a, c = dr.squared_norm(e1), dr.squared_norm(e2)
     d1, d2 = dr.dot(q, e1), dr.dot(q, e2)
     length3 = dr.squared_norm(e3)
     d3 = dr.dot(x - v1, e3)
-    area = a * c - b * b
+    least = 1e-30
+    inverse = 1 / _guarded(a, least)
+    r0, share = d1 * inverse, dr.dot(e1, e2) * inverse
+    height, beside = e2 - e1 * share, q - e1 * r0
+    height2, up = dr.squared_norm(height), dr.dot(beside, height)
 
     with dr.suspend_grad():
-        s, t = d1 * c - d2 * b, d2 * a - d1 * b
-        face = (s >= 0) & (t >= 0) & (s + t <= area) & (area > 1e-6 * a * c)
+        t = up / _guarded(height2, 0)
+        s = r0 - share * t
+        face = (s >= 0) & (t >= 0) & (s + t <= 1) & (a > least) & (height2 > 1e-12 * c)
         along = [_clipped(d1, a), _clipped(d3, length3), 1 - _clipped(d2, c)]
         distance2 = [
             dr.squared_norm(q - e1 * along[0]),
@@ -64,11 +70,10 @@ def closest_on_triangle(x: mi.Point3f, v0: mi.Point3f, v1: mi.Point3f, v2: mi.Po
             here = dr.select(along[k] >= 1, CORNER_0 + (k + 1) % 3, here)
             feature = dr.select(nearer, here, feature)
 
-    inverse = 1 / _guarded(area, 0)
-    w1, w2 = (d1 * c - d2 * b) * inverse, (d2 * a - d1 * b) * inverse
+    w2 = up / dr.select(face, height2, 1)
+    w1 = r0 - share * w2
     weights = mi.Point3f(1 - w1 - w2, w1, w2)
-    least = 1e-30
-    r0, r1, r2 = d1 / _guarded(a, least), d3 / _guarded(length3, least), d2 / _guarded(c, least)
+    r1, r2 = d3 / _guarded(length3, least), d2 / _guarded(c, least)
     for which, value in (
         (EDGE_0, mi.Point3f(1 - r0, r0, 0)),
         (EDGE_1, mi.Point3f(0, 1 - r1, r1)),

@@ -75,17 +75,24 @@ def pair_distance2(corners: list[mi.Float], q: mi.Point3f) -> tuple[mi.Float, mi
     a, b, c, d = (mi.Vector3f(*corners[3 * i : 3 * i + 3]) for i in range(4))
     q, b, c, d = mi.Vector3f(q) - a, b - a, c - a, d - a
     qc, cc = dr.dot(q, c), dr.dot(c, c)
-    diagonal = _segment(q, c, qc, cc)
+    inverse = dr.rcp(larger(cc, 1e-20))
+    along = qc * inverse
+    beside = q - c * along
+    diagonal = dr.squared_norm(q - c * smaller(larger(along, 0), 1))
 
     def triangle(e: mi.Vector3f) -> mi.Float:
         qe, ee, ec = dr.dot(q, e), dr.dot(e, e), dr.dot(e, c)
-        s, t, area2 = qe * cc - qc * ec, qc * ee - qe * ec, ee * cc - ec * ec
         third = _segment(q - e, c - e, qc - qe - ec + ee, cc - 2 * ec + ee)
         border = smaller(smaller(diagonal, _segment(q, e, qe, ee)), third)
-        # the area of a sliver is rounding; its border alone then gives the distance
-        inside = (s >= 0) & (t >= 0) & (s + t <= area2) & (area2 > 1e-6 * ee * cc)
-        scale = dr.rcp(dr.select(inside, area2, 1))
-        return dr.select(inside, dr.squared_norm(q - e * (s * scale) - c * (t * scale)), border)
+        # what the edge and q have beside the diagonal, as in closest_on_triangle
+        share = ec * inverse
+        height = e - c * share
+        height2 = dr.squared_norm(height)
+        t = dr.dot(beside, height) * dr.rcp(larger(height2, 1e-20))
+        s = along - share * t
+        # the height of a sliver is rounding; its border alone then gives the distance
+        inside = (s >= 0) & (t >= 0) & (s + t <= 1) & (height2 > 1e-12 * ee)
+        return dr.select(inside, dr.squared_norm(beside - height * t), border)
 
     return triangle(b), triangle(d)
 

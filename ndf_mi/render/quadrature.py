@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ndf_mi.field.sample import FieldSample
-from ndf_mi.numerics import expm1
+from ndf_mi.numerics import block_sum, expm1, sum_before
 from ndf_mi.render.strata import VolumeField, sample_strata
 
 
@@ -70,17 +70,17 @@ def quadrature(
     strata = sample_strata(volume, ray, samples, jitter=jitter, window=window, hidden=hidden)
     sample = strata.sample
     tau = strata.optical_depth(scale)
-    weight = dr.exp(-dr.block_prefix_sum(tau, strata.count, exclusive=True)) * -expm1(-tau)
+    weight = dr.exp(-sum_before(tau, strata.count)) * -expm1(-tau)
 
     def expect(value: mi.Float) -> mi.Float:
-        return dr.block_sum(weight * strata.spread(value), strata.count)
+        return block_sum(weight * strata.spread(value), strata.count)
 
-    opacity = -expm1(-dr.block_sum(tau, strata.count))
+    opacity = -expm1(-block_sum(tau, strata.count))
     norm = dr.rcp(dr.maximum(opacity, 1e-6))
     return Radiance(
         colour=mi.Color3f(*[expect(c) for c in sample.colour]),
         opacity=opacity,
-        depth=dr.block_sum(weight * strata.t, strata.count) * norm,
+        depth=block_sum(weight * strata.t, strata.count) * norm,
         u=mi.Point3f(*[expect(c) * norm for c in sample.u]) if geometry else None,
         normal=mi.Normal3f(*[expect(c) * norm for c in sample.normal]) if geometry else None,
         samples=sample,

@@ -13,6 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.errors import InputError
 from ndf_mi.projection import Surface
 
 PARTS = 2
@@ -20,6 +21,9 @@ PARTS = 2
 
 CHUNK = 1 << 20
 """Samples whose distances are looked for at once."""
+
+LARGEST = 1 << 28
+"""Samples of the distance at most: a gigabyte of them, and some more to work with."""
 
 LEAST = 0.2
 """Least absolute value at a node of the function that a mesh is cut from, whose largest is 1: with it, a mesh keeps at least
@@ -109,6 +113,9 @@ def lattice(surface: Surface, vertices: mi.Float, band: float, cell: float, grid
         band: the band's half width in metres.
         cell: the grid's spacing in metres.
         grid: a grid made before, to look on again; `cell` is then the grid's.
+
+    Raises:
+        InputError: the cells are too small for the body, which would take gigabytes.
     """
     cell = cell if grid is None else grid.cell
     reach = band + math.sqrt(3.0) * cell / PARTS
@@ -117,6 +124,10 @@ def lattice(surface: Surface, vertices: mi.Float, band: float, cell: float, grid
         if grid is None:
             grid = Grid.around(posed.bbox.min.numpy().ravel(), posed.bbox.max.numpy().ravel(), cell)
         shape = tuple(PARTS * n for n in grid.shape)
+        if math.prod(shape) > LARGEST:
+            least = cell * (math.prod(shape) / LARGEST) ** (1 / 3)
+            many = f"{cell:g} m, which makes {' × '.join(map(str, grid.shape))} cells"
+            raise InputError("cell", many, f"at least {least:.2g} m around this body")
         distance = np.full(shape, np.inf, dtype=np.float32)
         places, triangles = [], []
         low, step = mi.Point3f(*(float(v) for v in grid.low)), cell / PARTS
@@ -198,6 +209,9 @@ def band_shell(
 
     Returns:
         vertices (N, 3) float32 and faces (M, 3) uint32, closed, normals pointing out of the region.
+
+    Raises:
+        InputError: as by :func:`lattice`.
     """
     inside = band if inside is None else inside
     sampled = lattice(surface, vertices, band, cell)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from ndf_mi.numerics import expm1
+from ndf_mi.numerics import block_sum, expm1, sum_before
 from ndf_mi.render.sampling import box_interval, pad, rounded
 from ndf_mi.render.strata import Strata, VolumeField, sample_strata, scatter
 
@@ -144,7 +144,7 @@ class Transport:
         for one in media:
             weight = _weights(one, [other for other in media if other is not one])
             for place, value in enumerate((one.tau, weight * one.strata.t, *(weight * c for c in one.colour))):
-                rows[place] += dr.block_sum(value, one.strata.count)
+                rows[place] += block_sum(value, one.strata.count)
         dr.eval(rows)
         return rows
 
@@ -156,7 +156,7 @@ class Transport:
         strata = sample_strata(volume, ray, self.samples, jitter=jitter, active=real)
         self.evaluated += strata.evaluated
         tau = strata.optical_depth(performer.scale)
-        before = dr.block_prefix_sum(tau, strata.count, exclusive=True)
+        before = sum_before(tau, strata.count)
         return _Medium(strata, tau, before, [strata.spread(c) for c in strata.sample.colour])
 
 
