@@ -3,6 +3,10 @@
 Directions are random in the orthant of the gradient (from renders of their own), so that derivatives along them are not lost in noise.
 Differences between differences and gradients are held against three standard errors of both. Light comes mostly from one side, albedo is
 coloured, paths have up to five vertices.
+
+In a thin medium steps that can be told from noise are too large for differences. There light scatters once or not at all, and what a ray
+sees is, to first order in the depth, what emission and absorption make of it if every point emits its albedo times the mean light of all
+directions. Quadrature has no noise, and differences of it are as good as float32 allows.
 """
 
 import drjit as dr
@@ -12,11 +16,12 @@ import pytest
 
 from ndf_mi.learn.stage import Stage
 from ndf_mi.model import PosedModel
+from ndf_mi.render.quadrature import quadrature
 from ndf_mi.render.replay import Replay
 
 RADIUS, BAND = 0.3, 0.08
 #: Optical depth of the band along its normal.
-ORDINARY, THICK = 2.0, 20.0
+THIN, ORDINARY, THICK = 0.005, 2.0, 20.0
 ERRORS = 3
 BEHIND = (0.3, 0.5, 0.2)
 
@@ -41,6 +46,12 @@ def uneven(make_constant_run, depth, **changes):
         field.grid = mi.Float(0.5 * rng.normal(size=dr.width(field.grid)).astype(np.float32))
     run.save()
     return run
+
+
+def mean_light():
+    """(3,) the mean radiance over all directions of `lights`: a directional one's irradiance reaches a scatterer whole."""
+    sky, sun = lights()["sky"]["radiance"]["value"], lights()["sun"]["irradiance"]["value"]
+    return np.array(sky) + np.array(sun) / (4 * np.pi)
 
 
 def rays(count, rng):
@@ -142,6 +153,37 @@ def check(place, values, change, paths, repeats, forward):
         # The comparison means something: the noise is small itself.
         assert error < 0.25 * abs(gradient) and noise < 0.25 * abs(gradient), (name, gradient, error, noise)
         place.set(values, wanted=False)
+
+
+def thin_mean(run, values):
+    """What `Measured.mean` is to first order in the depth, by quadrature along a lattice of rays."""
+    field = run.model.field
+    field.weights, field.grid = mi.Float(values["weights"]), mi.Float(values["grid"])
+    x, y = ((np.stack(np.meshgrid(*[np.arange(96)] * 2)).reshape(2, -1) + 0.5) / 96 - 0.5) * 0.7
+    ray = mi.Ray3f(mi.Point3f(x.astype(np.float32), y.astype(np.float32), 2.0), mi.Vector3f(0.0, 0.0, -1.0))
+    seen = quadrature(run.posed(0), ray, 512)
+    colour, opacity = np.stack([channel.numpy() for channel in seen.colour]).astype(np.float64), seen.opacity.numpy().astype(np.float64)
+    radiance = mean_light()[:, None] * colour + np.array(BEHIND)[:, None] * (1 - opacity)
+    return float(np.dot(Measured.WEIGHTS, radiance.mean(1)))
+
+
+def test_gradients_in_a_thin_medium_are_those_of_single_scattering(make_constant_run):
+    run = uneven(make_constant_run, THIN, grid_levels=2)
+    values = run.field_tensors()
+    measured, rng, repeats, paths = Measured(OnLattice(run)), np.random.default_rng(5), 6, 1 << 17
+    guess = measured.gradient(values, paths)
+    found = [measured.gradient(values, paths) for _ in range(repeats)]
+    for name, value in values.items():
+        direction = np.abs(rng.normal(size=value.shape)) * np.sign(guess[name])
+        direction /= np.linalg.norm(direction)
+        along = np.array([np.dot(g[name].astype(np.float64), direction) for g in found])
+        gradient, error = along.mean(), along.std(ddof=1) / np.sqrt(repeats)
+        sides = [thin_mean(run, {**values, name: (value + sign * 0.03 * direction).astype(np.float32)}) for sign in (1, -1)]
+        difference = (sides[0] - sides[1]) / 0.06
+        # What second order adds: less than the longest way's depth, through the band twice or along it, of the derivative.
+        second = 10 * THIN * abs(difference)
+        assert abs(gradient - difference) < ERRORS * error + second, (name, gradient, difference, error)
+        assert error < 0.1 * abs(gradient), (name, gradient, error)
 
 
 @pytest.mark.parametrize(("depth", "change", "paths"), [(ORDINARY, 0.02, 1 << 14), (THICK, 0.02, 1 << 13)])
