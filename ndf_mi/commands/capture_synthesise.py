@@ -24,7 +24,7 @@ class CaptureSynthesise:
     motion: Literal["clips", "turn", "still"] = "clips"
     """clips: walking and climbing; turn: one pose, turned around once over the frames; still: one pose that never moves."""
     clothes: Literal["loose", "tight"] = "loose"
-    """loose clothes stand off by centimetres; tight ones lie within a centimetre of the body, and the head is shaved."""
+    """loose clothes stand off by centimetres; tight ones lie within 12 mm of the body, and the head is shaved."""
     folds: bool = True
     """Whether cloth folds with the pose."""
     surface: Literal["mixed", "matte", "glossy"] = "mixed"

@@ -21,7 +21,7 @@ class Look:
     Attributes:
         motion: of the training frames. `clips`: walking and climbing; `turn`: one pose, turned around the vertical once over the frames;
             `still`: one pose that never moves.
-        clothes: `loose` stand off by centimetres; `tight` lie within a centimetre of the body, and the head is shaved.
+        clothes: `loose` stand off by centimetres; `tight` lie within 12 mm of the body, and the head is shaved.
         folds: whether cloth folds with the pose.
         surface: `mixed`: diffuse cloth, and glossy skin, hair and shoes; `matte`: all of it diffuse; `glossy`: all of it shines.
     """
