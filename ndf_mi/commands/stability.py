@@ -44,7 +44,7 @@ class Stability:
         if self.out is not None:
             report.check(self.out)
         chosen = [case for case in suite.cases(self.only) if not (self.quick and case.long)]
-        console = Console(highlight=False)
+        console = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
         if self.list:
             for case in chosen:
                 console.print(f"{case.subject:<12} {case.name:<28} {case.what}", soft_wrap=True, markup=False)
@@ -60,7 +60,7 @@ class Stability:
                 bar.advance(task)
         table = Table(box=None, pad_edge=False)
         for name in report.HEADER:
-            table.add_column(name, justify="right" if name in ("primal", "gradient") else "left", overflow="fold")
+            table.add_column(name, justify="right" if name in ("primal", "gradient") else "left", no_wrap=name in ("case", "verdict"))
         for result in results:
             table.add_row(*report.cells(result), style="" if result.passed else "bold red")
         console.print(table)

@@ -24,6 +24,9 @@ from ndf_mi.render.strata import Strata, VolumeField, sample_strata, scatter
 TILE = 4096
 """Rays integrated at once at most: what bounds the candidates' memory, at about 50 bytes each."""
 
+OPAQUE = 1e34
+"""The greatest optical depth of a stratum: differences of their sums are taken, which must not be infinite."""
+
 _RAYS = 256
 """The least number of rays integrated at once: tiles of fewer are filled up."""
 
@@ -155,7 +158,7 @@ class Transport:
             jitter = dr.repeat(jitter, self.samples * volume.strata)
         strata = sample_strata(volume, ray, self.samples, jitter=jitter, active=real)
         self.evaluated += strata.evaluated
-        tau = strata.optical_depth(performer.scale)
+        tau = dr.minimum(strata.optical_depth(performer.scale), OPAQUE)
         before = sum_before(tau, strata.count)
         return _Medium(strata, tau, before, [strata.spread(c) for c in strata.sample.colour])
 
@@ -179,9 +182,14 @@ def _weights(one: _Medium, others: list[_Medium]) -> mi.Float:
     for other in others:
         begin = other.optical_depth(ray, start)
         ahead = ahead + begin
-        # Rounding must not make an empty stretch negative.
-        total = total + dr.maximum(other.optical_depth(ray, start + width) - begin, 0.0)
-    return dr.exp(-ahead) * -expm1(-total) * (one.tau / dr.maximum(total, 1e-20))
+        more = other.optical_depth(ray, start + width) - begin
+        # Rounding must not make an empty stretch negative; of an empty one the derivative is wanted, which `maximum` halves or drops.
+        total = total + dr.select(more < 0, 0.0, more)
+    # Near 0 by the series: the quotient has no derivative there.
+    small = total < 1e-3
+    safe = dr.select(small, 1.0, total)
+    series = one.tau * dr.fma(total, dr.fma(total, 1 / 6, -0.5), 1.0)
+    return dr.exp(-ahead) * dr.select(small, series, -expm1(-safe) * (one.tau / safe))
 
 
 def _join(parts: list[mi.Float]) -> mi.Float:

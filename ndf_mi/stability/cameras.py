@@ -20,8 +20,8 @@ from ndf_mi.stability.march import linear, march
 
 SAMPLES = 64
 
-PATH_TRACED = ("in the band, looking along it", "in the body's part of the band", "deep in the body", "touching a triangle, looking along it",
-               "grazing the shell")
+PATH_TRACED = ("in the band, looking along it", "in the body's part of the band", "deep in the body",
+               "touching a triangle, looking along it", "grazing the shell")
 
 
 def looking(origin: np.ndarray, forward: np.ndarray, size: int = 8, focal: float = 1.0) -> Camera:
@@ -100,7 +100,8 @@ def cameras_by_quadrature() -> Iterator[Measured]:
                            gradient if np.isfinite(slopes).all() else np.inf)
 
 
-@case("cameras in, on and along the performer under volpath, in the medium that they are in", "five of the cameras, 8192 paths each", primal=5.0, gradient=None,
+@case("cameras in, on and along the performer under volpath, in the medium that they are in",
+      "five of the cameras, 8192 paths each", primal=5.0, gradient=None,
       relative_to="the standard error of the mean over the image", long=True)
 def cameras_by_path_tracing() -> Iterator[Measured]:
     """Mean transmittance towards a sky of 1, of a medium that scatters nothing, against marches through each pixel."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from ndf_mi.numerics import expm1, log1p, softplus
 from ndf_mi.render.quadrature import Radiance, quadrature
+from ndf_mi.render.transport import Performer, Transport
 from ndf_mi.stability.case import Measured, case, error
 from ndf_mi.stability.network64 import logistic
 from ndf_mi.stability.slab import Slab, Truth, integrate
@@ -90,6 +91,55 @@ def density_zero() -> Iterator[Measured]:
         slab = Slab(sigma)
         seen, *gradients = through(slab, 4)
         yield compare(f"{density:g}", slab, seen, (gradients[0], gradients[1]), integrate(sigma, slab.colour.numpy()[0], 1.0), slice(None))
+
+
+@case("two fields that overlap, as ndf_path sees them: colour, transmittance", "optical depths of a stratum of 1e-38 to 1e38",
+      relative_to=TERMS + ", the largest of a ray, at least 1e-12")
+def overlapping_fields() -> Iterator[Measured]:
+    """Two slabs in one place, the first of the optical depth in question, the second of it, its inverse, 0 or 1."""
+    decades = np.arange(-38, 39)
+    x = 10.0**decades[:, None, None]
+    ones = np.ones_like(x)
+    seconds = [[x] * 8, [ones] * 8, [0 * x] * 8, [x, 1 / x] * 4, [ones, 0 * x] * 4]
+    second = np.concatenate([np.concatenate(pattern, 2) for pattern in seconds], 1).reshape(-1, 8).astype(np.float32)
+    first = np.broadcast_to(x, (len(x), len(seconds), 8)).reshape(-1, 8) * np.tile([1, 0, 1, 1, 0, 1, 0, 1], (len(second), 1))
+    first = first.astype(np.float32)
+    red, blue = (np.tile(np.linspace(*ends, 8), (len(first), 1)).astype(np.float32) for ends in ((0.1, 0.9), (0.7, 0.2)))
+    slabs = Slab(first, red, 8.0), Slab(second, blue, 8.0)
+    dr.enable_grad([slab.sigma for slab in slabs])
+    ray = slabs[0].rays()
+    seen = Transport(8)([Performer(slab) for slab in slabs], ray)
+    dr.backward(dr.sum(seen.colour.x - seen.transmittance))
+    truth, through, slopes, terms = together(first.astype(np.float64), second.astype(np.float64), red, blue)
+    found = [dr.grad(slab.sigma).numpy().reshape(first.shape) for slab in slabs]
+    for index, decade in enumerate(decades):
+        rows = slice(index * len(seconds), (index + 1) * len(seconds))
+        primal = max(error(seen.colour.x.numpy()[rows], truth[rows]), error(seen.transmittance.numpy()[rows], through[rows]))
+        yield Measured(f"1e{decade}", primal, max(error(ours[rows], slope[rows], np.maximum(term[rows].max(1, keepdims=True), 1e-12))
+                                                  for ours, slope, term in zip(found, slopes, terms, strict=True)))
+
+
+def together(first: np.ndarray, second: np.ndarray, red: np.ndarray, blue: np.ndarray) -> tuple[
+        np.ndarray, np.ndarray, list[np.ndarray], list[np.ndarray]]:
+    """Colour and transmittance (N,) of two fields of constant optical depths and colours in the same strata, (N, S); the derivatives of
+    colour − transmittance in both optical depths, and the sums of their terms' magnitudes.
+
+    L = Σ_i T_i φ(s_i) (τ_1 c_1 + τ_2 c_2), s = τ_1 + τ_2, φ(s) = (1 − e^−s) / s
+    """
+    total = first + second
+    small = total < 1e-4
+    safe = np.where(small, 1.0, total)
+    phi = np.where(small, 1 - total / 2 + total**2 / 6, -np.expm1(-safe) / safe)
+    rise = np.where(small, -0.5 + total / 3, (np.exp(-safe) - phi) / safe)
+    after = np.cumsum(total, 1)
+    before = np.concatenate([np.zeros_like(after[:, :1]), after[:, :-1]], 1)
+    light = first * red + second * blue
+    term = np.exp(-before) * phi * light
+    behind = np.concatenate([np.cumsum(term[:, :0:-1], 1)[:, ::-1], np.zeros_like(term[:, :1])], 1)
+    through = np.exp(-after[:, -1:])
+    slopes = [np.exp(-before) * (phi * colour + rise * light) - behind + through for colour in (red, blue)]
+    terms = [np.exp(-before) * (phi * colour + np.abs(rise) * light) + behind + through for colour in (red, blue)]
+    return term.sum(1), through[:, 0], slopes, terms
 
 
 @case("expm1, log1p and softplus", "1e-38 to 1e38, both signs where defined")
