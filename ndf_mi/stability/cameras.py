@@ -122,7 +122,7 @@ def cameras_by_path_tracing() -> Iterator[Measured]:
 
 
 @case("shells contain the whole band", "bodies of 1 mm to 1 km, 0 to 1e3 m from the origin; and cells too small for them",
-      primal=0.0, gradient=None, relative_to="all points tried: the share outside")
+      primal=0.0, gradient=None, relative_to="no point outside")
 def shells() -> Iterator[Measured]:
     """Random points of the band against the solid angle of the shell; a grid that would not fit memory is refused."""
     vertices, faces = icosphere(1, 1.0)

@@ -40,7 +40,7 @@ class Case:
         what: what is computed.
         over: the range that it is tried over.
         primal, gradient: largest relative errors promised; `gradient` None where there is none.
-        relative_to: what errors are relative to, if not to the value itself.
+        relative_to: what errors are relative to, if not to the value itself; where none is allowed, what that means.
         measure: tries it; a result for each point of the range.
         long: whether it takes more than a few seconds.
     """

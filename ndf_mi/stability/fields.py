@@ -159,7 +159,7 @@ def coordinates_beyond() -> Iterator[Measured]:
 
 
 @case("majorants against densities: from samples between nested shells, up to densities at their very limit",
-      "limits of 1e-2 to 1e5 per metre", primal=0.0, gradient=None, relative_to="the majorant: the excess over it, or 1 where equal")
+      "limits of 1e-2 to 1e5 per metre", primal=0.0, gradient=None, relative_to="no density reaches its majorant")
 def majorants() -> Iterator[Measured]:
     """At random points of the band, where the density's formula in float64 is compared with the majorant of the layer it is in. Half of
     the fields are so dense that they reach their limit."""

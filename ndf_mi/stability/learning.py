@@ -156,7 +156,7 @@ def weights_of(trainer: Trainer) -> np.ndarray:
 
 
 @case("a NaN in one pixel, one origin or one direction of a training's batch", "each in turn", primal=0.0, gradient=None,
-      relative_to="nothing: weights must be those of a state before")
+      relative_to="weights are those of a state before")
 def a_nan_in_a_batch() -> Iterator[Measured]:
     """A step whose loss is not a number is refused; a ray that is none sees nothing, and is trained towards what it should have seen."""
     for part in ("target", "origin", "direction", "mask"):
@@ -180,7 +180,7 @@ def a_nan_in_a_batch() -> Iterator[Measured]:
 
 
 @case("training on images all black and all white, and on masks of one pixel", "three steps each", primal=0.0, gradient=None,
-      relative_to="nothing: no step may be refused")
+      relative_to="no step is refused, and weights change")
 def plain_captures() -> Iterator[Measured]:
     """Weights stay finite, and change."""
     for image, lone in ((0.0, False), (1.0, False), (0.0, True)):

@@ -28,12 +28,14 @@ def number(value: float | None) -> str:
 def promise(case: Case) -> str:
     """What is promised, in words."""
     def limit(value: float) -> str:
-        return "0" if value == 0 else f"{value:g}"
+        return f"{value:g}".replace("e-0", "e-")
 
     text = limit(case.primal)
     if case.gradient is not None and case.gradient != case.primal:
         text += f", gradient {limit(case.gradient)}"
-    return f"{text} of {case.relative_to}" if case.relative_to else text
+    if not case.relative_to:
+        return text
+    return f"{text}: {case.relative_to}" if case.primal == 0 else f"{text} relative to {case.relative_to}"
 
 
 def cells(result: Result) -> tuple[str, ...]:
