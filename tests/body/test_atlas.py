@@ -185,6 +185,7 @@ def test_refuses_numbers() -> None:
         with_one_piece(body)
 
 
+@pytest.mark.long
 def test_default_body(anny: Body) -> None:
     body = with_one_piece(anny)
     for field in dataclasses.fields(Body):

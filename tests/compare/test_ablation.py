@@ -26,6 +26,7 @@ def study(capture, folder, names=NAMES, options=OPTIONS):
     return Study(capture.path, folder, names, preset("tiny"), options, Settings(max_images=2, sequence=2, samples=32), "ndf-mi ablate …")
 
 
+@pytest.mark.long
 def test_trains_each_once_and_goes_on_where_it_was(capture, tmp_path, monkeypatch):
     begun = []
     results = study(capture, tmp_path).run(lambda name, number, of: begun.append((name, number, of)), lambda *_: None)

@@ -46,6 +46,7 @@ def call(run, capture, under, out, *more):
                           "--spp", "8", "--texture", "16", *more])
 
 
+@pytest.mark.long
 def test_it_measures_both_under_both_lights_and_keeps_what_is_there(captures, trained, quick, tmp_path, capsys):
     out = tmp_path / "out"
     assert call(trained, *captures, out) == 0
@@ -64,6 +65,7 @@ def test_it_measures_both_under_both_lights_and_keeps_what_is_there(captures, tr
     assert {file: file.stat().st_mtime_ns for file in out.rglob("*.png")} == pictures
 
 
+@pytest.mark.long
 def test_captures_that_do_not_belong_are_refused(captures, trained, make_run, tmp_path, capsys):
     day, night = captures
     out = tmp_path / "out"
@@ -81,6 +83,7 @@ def test_captures_that_do_not_belong_are_refused(captures, trained, make_run, tm
     assert not out.exists()
 
 
+@pytest.mark.long
 def test_a_lattice_shows_what_the_field_itself_shows(make_constant_run, captures):
     """Constant extinction and albedo: but for the band's edges, where the lattice smooths over a cell, the two are the same medium."""
     run = make_constant_run(25.0, srgb=(0.9, 0.7, 0.5), direction_octaves=-1, normal_octaves=-1)
@@ -96,6 +99,7 @@ def test_a_lattice_shows_what_the_field_itself_shows(make_constant_run, captures
     assert method.fingerprint() != LitField(run, {}, "day", 64, 6, [1]).fingerprint()
 
 
+@pytest.mark.long
 def test_the_diffuse_mesh_recovers_a_reflectance_and_shows_it_in_another_light(captures):
     """The truth here is the mesh itself with a grey texture, path traced by Mitsuba."""
     capture = captures[0]
@@ -118,6 +122,7 @@ def test_the_diffuse_mesh_recovers_a_reflectance_and_shows_it_in_another_light(c
     assert metrics.psnr(shown["night"]["n0", 1], image, mask) > 28
 
 
+@pytest.mark.long
 def test_a_diffuse_ball_in_white_light_has_the_brightness_of_its_albedo(captures):
     """In the furnace a convex diffuse body is seen with radiance albedo × sky."""
     capture = captures[0]

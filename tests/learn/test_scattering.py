@@ -49,6 +49,7 @@ def albedo_of(run, points):
     return (sample.colour.numpy() * weight).sum(1) / weight.sum()
 
 
+@pytest.mark.long
 def test_density_and_albedo_are_recovered(truth, lit_capture, tmp_path):
     capture = lit_capture(truth, "day", spp=256)
     trainer = start(tmp_path / "run", capture, TINY, dataclasses.replace(OPTIONS, steps=600, warm_up=100, decay=0.3))
@@ -69,6 +70,7 @@ def test_density_and_albedo_are_recovered(truth, lit_capture, tmp_path):
     assert [row["step"] for row in rows] == list(range(150, 601, 50))
 
 
+@pytest.mark.long
 def test_no_kernel_is_compiled_from_frame_to_frame(truth, lit_capture, tmp_path):
     trainer = start(tmp_path / "run", lit_capture(truth, "day"), TINY, dataclasses.replace(OPTIONS, warm_up=0))
     for _ in range(6):

@@ -167,6 +167,7 @@ def thin_mean(run, values):
     return float(np.dot(Measured.WEIGHTS, radiance.mean(1)))
 
 
+@pytest.mark.long
 def test_gradients_in_a_thin_medium_are_those_of_single_scattering(make_constant_run):
     run = uneven(make_constant_run, THIN, grid_levels=2)
     values = run.field_tensors()
@@ -186,12 +187,14 @@ def test_gradients_in_a_thin_medium_are_those_of_single_scattering(make_constant
         assert error < 0.1 * abs(gradient), (name, gradient, error)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("depth", "change", "paths"), [(ORDINARY, 0.02, 1 << 14), (THICK, 0.02, 1 << 13)])
 def test_gradients_on_the_lattice_agree_with_differences(make_constant_run, depth, change, paths):
     run = uneven(make_constant_run, depth)
     check(OnLattice(run), run.field_tensors(), change, paths, repeats=8, forward=8 * paths)
 
 
+@pytest.mark.long
 def test_gradients_of_the_medium_agree_with_differences(make_constant_run):
     """At one depth: evaluating networks at every collision takes minutes."""
     run = uneven(make_constant_run, ORDINARY, grid_levels=2)

@@ -81,6 +81,7 @@ def test_a_point_is_measured_anew_where_what_it_depends_on_has_changed(trained_r
     assert told == ["drawing 8 samples", "compiling", "timing"]
 
 
+@pytest.mark.long
 def test_path_tracing_is_a_trade_of_its_own(trained_run, capture, tmp_path, monkeypatch):
     drawn = points.rendering_points
     monkeypatch.setattr(points, "rendering_points", lambda preset: [p for p in drawn(preset) if p.key in ("usual", "path-2", "path-shell")])
