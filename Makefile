@@ -1,4 +1,5 @@
 # make demo: set up, then the whole line on a small capture.  make test: set up, then the tests.
+# make bench: set up, then the benchmarks, on what the demo left.
 .PHONY: setup test demo lint bench
 
 bin := .venv/bin
@@ -16,6 +17,15 @@ lint: setup
 	$(bin)/ruff check .
 	$(bin)/mypy
 
+# After `make demo`; others by RUN=… CAPTURE=…. The long ones, choices.py, folds.py, growth.py and plan.py, are called by hand.
+RUN ?= demo/run
+CAPTURE ?= demo/capture
+
 bench: setup
 	$(bin)/python -m pip install --quiet -e '.[bench]'
-	set -e; for file in benchmarks/*.py; do $(bin)/python $$file; done
+	$(bin)/python benchmarks/import_time.py
+	$(bin)/python benchmarks/closest_point.py
+	$(bin)/python benchmarks/training_step.py $(CAPTURE)
+	$(bin)/python benchmarks/image.py $(RUN) --capture $(CAPTURE)
+	$(bin)/python benchmarks/ndf_path.py $(RUN)
+	$(bin)/python benchmarks/volpath_cost.py $(RUN)
