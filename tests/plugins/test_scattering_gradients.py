@@ -126,6 +126,18 @@ class Measured:
         return self.place.gradients(values)
 
 
+def derivatives(measured, values, paths, repeats):
+    """For each parameter its name, a direction, the derivative along it and its standard error, from `repeats` gradients of `paths` each."""
+    rng = np.random.default_rng(5)
+    guess = measured.gradient(values, paths)
+    found = [measured.gradient(values, paths) for _ in range(repeats)]
+    for name, value in values.items():
+        direction = np.abs(rng.normal(size=value.shape)) * np.sign(guess[name])
+        direction /= np.linalg.norm(direction)
+        along = np.array([np.dot(g[name].astype(np.float64), direction) for g in found])
+        yield name, direction, along.mean(), along.std(ddof=1) / np.sqrt(repeats)
+
+
 def check(place, values, change, paths, repeats, forward):
     """Derivatives along one random direction a parameter.
 
@@ -134,14 +146,9 @@ def check(place, values, change, paths, repeats, forward):
         paths, repeats: of a gradient, and how many are averaged.
         forward: paths of a render for the differences.
     """
-    measured, rng = Measured(place), np.random.default_rng(5)
-    guess = measured.gradient(values, paths)
-    found = [measured.gradient(values, paths) for _ in range(repeats)]
-    for name, value in values.items():
-        direction = np.abs(rng.normal(size=value.shape)) * np.sign(guess[name])
-        direction /= np.linalg.norm(direction)
-        along = np.array([np.dot(g[name].astype(np.float64), direction) for g in found])
-        gradient, error = along.mean(), along.std(ddof=1) / np.sqrt(repeats)
+    measured = Measured(place)
+    for name, direction, gradient, error in derivatives(measured, values, paths, repeats):
+        value = values[name]
         step = change * measured.mean(forward) / abs(gradient)
         sides = []
         for sign in (1, -1):
@@ -171,14 +178,8 @@ def thin_mean(run, values):
 def test_gradients_in_a_thin_medium_are_those_of_single_scattering(make_constant_run):
     run = uneven(make_constant_run, THIN, grid_levels=2)
     values = run.field_tensors()
-    measured, rng, repeats, paths = Measured(OnLattice(run)), np.random.default_rng(5), 6, 1 << 17
-    guess = measured.gradient(values, paths)
-    found = [measured.gradient(values, paths) for _ in range(repeats)]
-    for name, value in values.items():
-        direction = np.abs(rng.normal(size=value.shape)) * np.sign(guess[name])
-        direction /= np.linalg.norm(direction)
-        along = np.array([np.dot(g[name].astype(np.float64), direction) for g in found])
-        gradient, error = along.mean(), along.std(ddof=1) / np.sqrt(repeats)
+    for name, direction, gradient, error in derivatives(Measured(OnLattice(run)), values, 1 << 17, repeats=6):
+        value = values[name]
         sides = [thin_mean(run, {**values, name: (value + sign * 0.03 * direction).astype(np.float32)}) for sign in (1, -1)]
         difference = (sides[0] - sides[1]) / 0.06
         # What second order adds: less than the longest way's depth, through the band twice or along it, of the derivative.
