@@ -127,7 +127,7 @@ class Measured:
 
 
 def derivatives(measured, values, paths, repeats):
-    """For each parameter its name, a direction, the derivative along it and its standard error, from `repeats` gradients of `paths` each."""
+    """For each parameter its name, a direction, the derivative along it, its standard error: from `repeats` gradients of `paths` each."""
     rng = np.random.default_rng(5)
     guess = measured.gradient(values, paths)
     found = [measured.gradient(values, paths) for _ in range(repeats)]
