@@ -118,11 +118,12 @@ def about_detail(detail: Detail, settings: Settings, full: Preset) -> Finding:
     evidence = (f"a pixel spans {1e3 * detail.footprint:.1f} mm, {detail.texel:.4f} of the texture's square; a blur by two pixels would "
                 f"cost {_decibels(detail.lost[2], settings):.2f} dB; noise is at most {detail.noise:.4f}; training images show "
                 f"{100 * detail.seen:.0f} % of the body's area, over {100 * detail.atlas:.0f} % of the square")
+    fewer = full.grid_levels - levels
     smaller = (finest, levels, entries) != (full.grid_finest, full.grid_levels, full.grid_entries)
     return Finding(
         "detail", "how much detail is there, and which parts are ever seen?", evidence,
         f"a grid of {levels} levels up to {finest} cells a side, {entries:,} entries a level",
-        f"{full.grid_levels - levels} levels, cells below {1e3 * detail.footprint * blur:.0f} mm, and entries for what is never seen"
+        f"{fewer} level{'' if fewer == 1 else 's'}, cells below {1e3 * detail.footprint * blur:.0f} mm, and entries for what is never seen"
         if smaller else "",
         {"footprint_mm": 1e3 * detail.footprint, "texel": detail.texel, "noise": detail.noise, "seen": detail.seen, "atlas": detail.atlas,
          **{f"blur_{factor}": lost for factor, lost in detail.lost.items()}},
