@@ -7,6 +7,7 @@ One process, repeats interleaved: every way renders once, then every way again w
     box       the `ndf` medium in its bounding box
     shell     the same in an `ndf_shell`
     nested    the same in nested shells with local majorants
+    L mm      the same in nested shells, the field put onto a lattice with that spacing (the medium's `lattice`)
     grid N    Mitsuba's `heterogeneous` medium in the bounding box, baked from the field into N³ cells
 
 Seconds are the median over the repeats, for a picture at `--spp`. Noise is the standard deviation that one sample a pixel has, from the
@@ -75,6 +76,9 @@ class Options:
     cell: float = 0.0125
     """Spacing in metres of the grid that shells are cut from."""
 
+    lattices: tuple[float, ...] = (0.006, 0.003)
+    """Spacings in metres of the lattices that the medium is put onto."""
+
     grids: tuple[int, ...] = (128, 256)
     """Cells of the baked grids along each side."""
 
@@ -107,6 +111,8 @@ def main(options: Options) -> None:
         "box": lambda: box(run, {"type": "ndf", "run": str(run.path), "frame": frame}, frame),
         "shell": lambda: shell(run, frame, {"cell": options.cell}),
         "nested": lambda: shell(run, frame, {"cell": options.cell, "layers": options.layers}),
+        **{f"{1e3 * size:g} mm": lambda size=size: shell(run, frame, {"cell": options.cell, "layers": options.layers}, lattice=size)
+           for size in options.lattices},
         **{f"grid {n}": lambda n=n: box(run, baked(run, frame, n), frame) for n in options.grids},
     }
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, {run.path.name} frame {frame}, "
@@ -148,9 +154,9 @@ def scene_of(shape: dict[str, Any], run: Run, frame: int, options: Options) -> m
                          "sensor": camera(run, frame, options), "performer": shape})
 
 
-def shell(run: Run, frame: int, how: dict[str, Any]) -> dict[str, Any]:
+def shell(run: Run, frame: int, how: dict[str, Any], **more: Any) -> dict[str, Any]:
     """The medium in its shell or shells."""
-    return {"type": "ndf_shell", **how, "interior": {"type": "ndf", "run": str(run.path), "frame": frame}}
+    return {"type": "ndf_shell", **how, "interior": {"type": "ndf", "run": str(run.path), "frame": frame, **more}}
 
 
 def corners(run: Run, frame: int) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -36,6 +38,27 @@ class Baked:
         return total
 
 
+def gathered(volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], candidates: mi.Bool) -> tuple[mi.UInt32, Any, mi.Bool]:
+    """The nodes that lie in a field, of those that are candidates; detached.
+
+    Args:
+        at: positions of nodes.
+        candidates: which of them to look at, one lane each.
+
+    Returns:
+        K lanes: the node, the field's handle of it, and whether the lane is one or padding.
+    """
+    with dr.suspend_grad():
+        chosen, real, _ = compact(candidates & volume.near(at(dr.arange(mi.UInt32, dr.width(candidates)))))
+        handle, inside = volume.locate(at(chosen), real)
+        inside &= real
+        dr.eval(handle, inside)
+        second, real, _ = compact(inside)
+        index, handle = dr.gather(mi.UInt32, chosen, second), dr.gather(type(handle), handle, second)
+        dr.eval(index, handle)
+    return index, handle, real
+
+
 def bake(volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, int, int]) -> Baked:
     """Evaluates `volume` at the inner nodes of a lattice; the outermost stay empty. Colours must not depend on the view direction.
 
@@ -57,13 +80,7 @@ def bake(volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, in
         row = index // nx
         layer, i, j = row // ny, index - row * nx, row % ny
         inner = (i > 0) & (i < nx - 1) & (j > 0) & (j < ny - 1) & (layer > 0) & (layer < nz - 1)
-        chosen, real, _ = compact(inner & volume.near(at(index)))
-        handle, inside = volume.locate(at(chosen), real)
-        inside &= real
-        dr.eval(handle, inside)
-        second, real, _ = compact(inside)
-        index, handle = dr.gather(mi.UInt32, chosen, second), dr.gather(type(handle), handle, second)
-        dr.eval(index, handle)
+    index, handle, real = gathered(volume, at, inner)
     direction = mi.Vector3f(dr.zeros(mi.Float, dr.width(index)), 0.0, 1.0)
     sample = volume.evaluate(at(index), direction, handle, real)
     values = (sample.sigma, *(sample.sigma * channel for channel in sample.colour))

@@ -10,6 +10,7 @@ import numpy as np
 
 from ndf_mi.field import Preset
 from ndf_mi.model import PosedModel
+from ndf_mi.render.blocks import Blocks
 from ndf_mi.render.shell import PARTS, Grid, Lattice, reduce_parts, spread
 
 MARGIN = 1.25
@@ -64,7 +65,7 @@ class Excess:
                 f"so were {self.count} of {self.checked} points")
 
 
-def densities(model: PosedModel, points: np.ndarray, triangles: np.ndarray | None = None) -> np.ndarray:
+def densities(model: PosedModel | Blocks, points: np.ndarray, triangles: np.ndarray | None = None) -> np.ndarray:
     """(N,) float32 densities in 1/m at points (N, 3), zero outside the band.
 
     Args:
@@ -87,7 +88,7 @@ def densities(model: PosedModel, points: np.ndarray, triangles: np.ndarray | Non
     return result
 
 
-def bounds(model: PosedModel, preset: Preset, sampled: Lattice, margin: float = MARGIN) -> Bounds:
+def bounds(model: PosedModel | Blocks, preset: Preset, sampled: Lattice, margin: float = MARGIN) -> Bounds:
     """Samples a field's density at the middles of the parts of every cell, and estimates it from above.
 
     A cell's estimate is `margin` times the largest sample in the cell and in the layer of parts around it, 4³ samples for a cell of 2³.
