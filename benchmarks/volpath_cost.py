@@ -17,13 +17,12 @@ root mean square difference from a converged picture of `box`, over the mean rad
 much that was: an error below a third of it is none that could be seen. Evaluations are counted inside the media, null and real collisions
 and those of shadow rays, a camera ray; they depend on no machine. The performer stands before a constant environment.
 
-The grids hold the albedo as seen from the camera, as they know no directions. Memory is what the process grew by when the scene was loaded
-and first rendered.
+The grids hold the albedo as seen from the camera, as they know no directions. Memory is the most that Dr.Jit had allocated while a scene
+was loaded and first rendered, beyond what lay there before.
 """
 
 from __future__ import annotations
 
-import gc
 import os
 import platform
 import time
@@ -42,6 +41,7 @@ variants.use()
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
+from ndf_mi.compare.trade.memory import peak_memory  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 
@@ -196,13 +196,6 @@ def baked(run: Run, frame: int, cells: int) -> dict[str, Any]:
     return {"type": "heterogeneous", **volumes}
 
 
-def resident() -> float:
-    """Memory of the process in MiB."""
-    gc.collect()
-    with open("/proc/self/statm", encoding="ascii") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
 def render(scene: mi.Scene, spp: int, seed: int) -> np.ndarray:
     """One picture, (h, w, 3)."""
     return mi.render(scene, spp=spp, seed=seed).numpy()
@@ -210,11 +203,15 @@ def render(scene: mi.Scene, spp: int, seed: int) -> np.ndarray:
 
 def prepare(name: str, make: Callable[[], dict[str, Any]], run: Run, frame: int, options: Options) -> Way:
     """Loads a way's scene and renders it once, which compiles its kernels."""
-    before, start = resident(), time.perf_counter()
-    scene = scene_of(make(), run, frame, options)
-    load, start = time.perf_counter() - start, time.perf_counter()
-    render(scene, options.spp, 1)
-    return Way(name, scene, load, time.perf_counter() - start, resident() - before)
+    def work() -> tuple[mi.Scene, float, float]:
+        start = time.perf_counter()
+        scene = scene_of(make(), run, frame, options)
+        load, start = time.perf_counter() - start, time.perf_counter()
+        render(scene, options.spp, 1)
+        return scene, load, time.perf_counter() - start
+
+    (scene, load, first), memory = peak_memory(work)
+    return Way(name, scene, load, first, memory / 2**20)
 
 
 def count(scene: mi.Scene, options: Options) -> float:
