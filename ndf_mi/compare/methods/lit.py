@@ -10,9 +10,13 @@ import numpy as np
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
+from ndf_mi.render.sampling import rounded
 
 LANES = 1 << 16
-"""Paths traced at once: every launch has as many, so that one kernel serves all cameras."""
+"""Paths traced at once, at most."""
+
+PIXELS = 256
+"""Launches have one of few numbers of pixels: this one times 1, 3/2, 2, 3, 4 and so on."""
 
 
 class Lit:
@@ -54,7 +58,8 @@ class Lit:
     def _half(self, camera: Camera, where: np.ndarray, seed: int) -> np.ndarray:
         """(P, 3) linear means over half of the samples."""
         samples = self._spp // 2
-        step = max(LANES // samples, 1)
+        # A few sizes of launches serve all cameras; small pictures are not padded to large ones.
+        step = min(max(LANES // samples, 1), rounded(max(len(where), 1), PIXELS))
         out = np.zeros((len(where), 3))
         for start in range(0, len(where), step):
             some = where[start : start + step]

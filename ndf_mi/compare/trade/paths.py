@@ -1,4 +1,4 @@
-"""A run path traced by Mitsuba's `volpath`, the medium bounded in one way or another."""
+"""A run path traced by Mitsuba's `volpath`, the medium bounded in one way or another, itself or on a lattice."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CONVERGED_SPP = 512
 
 
 class PathTracer:
-    """Draws a run under some light, a scene for each frame and way to bound the medium, kept.
+    """Draws a run under some light, a scene for each frame and way to hold the medium, kept.
 
     Args:
         run: the run.
@@ -34,11 +34,11 @@ class PathTracer:
         self._run = run
         self._lights = lights
         self._integrator = mi.load_dict({"type": "volpath", "max_depth": max_depth, "hide_emitters": True})
-        self._scenes: dict[tuple[str, int], tuple[mi.Scene, float]] = {}
+        self._scenes: dict[tuple[str, float, int], tuple[mi.Scene, float]] = {}
 
     def picture(self, setting: PathSetting, frame: int, camera: Camera, seed: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the run's background."""
-        scene, _ = self._scene(setting.bounds, frame)
+        scene, _ = self._scene(setting, frame)
         low, high = self._box(frame)
         lit = Lit(scene, self._integrator, self._run.background, setting.spp)
         picture, _ = lit.render(camera, box_pixels(camera, low, high), seed)
@@ -47,17 +47,18 @@ class PathTracer:
 
     def loading(self, setting: PathSetting, frame: int) -> float:
         """Seconds that the scene took to make: a frame of an animation takes them, too."""
-        return self._scene(setting.bounds, frame)[1]
+        return self._scene(setting, frame)[1]
 
-    def _scene(self, bounds: str, frame: int) -> tuple[mi.Scene, float]:
-        if (bounds, frame) not in self._scenes:
+    def _scene(self, setting: PathSetting, frame: int) -> tuple[mi.Scene, float]:
+        key = setting.bounds, setting.lattice, frame
+        if key not in self._scenes:
             begun = time.perf_counter()
-            scene = mi.load_dict({"type": "scene", **self._lights, "performer": self._performer(bounds, frame)})
-            self._scenes[bounds, frame] = scene, time.perf_counter() - begun
-        return self._scenes[bounds, frame]
+            scene = mi.load_dict({"type": "scene", **self._lights, "performer": self._performer(setting.bounds, setting.lattice, frame)})
+            self._scenes[key] = scene, time.perf_counter() - begun
+        return self._scenes[key]
 
-    def _performer(self, bounds: str, frame: int) -> dict[str, Any]:
-        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame}
+    def _performer(self, bounds: str, lattice: float, frame: int) -> dict[str, Any]:
+        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame, "lattice": lattice}
         if bounds == "box":
             low, high = self._box(frame)
             place = mi.ScalarTransform4f().translate((0.5 * (low + high)).tolist()).scale((0.5 * (high - low)).tolist())

@@ -29,14 +29,16 @@ class PathSetting:
     Attributes:
         spp: paths a pixel, an even number.
         bounds: `box` (the body's padded box), `shell` (the tight shell), or `nested` (shells with local majorants).
+        lattice: spacing in metres of the lattice that the field is put onto; 0 for the field itself.
     """
 
     spp: int = 8
     bounds: str = "nested"
+    lattice: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON values."""
-        return dataclasses.asdict(self)
+        """JSON values; without a lattice, no word of it, as before there were any."""
+        return {key: value for key, value in dataclasses.asdict(self).items() if key != "lattice" or value > 0}
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,11 @@ def rendering_points(preset: Preset) -> list[Point]:
     points += [Point(f"path-{n}", "path", f"{n} paths a pixel", PathSetting(n)) for n in (2, usual_path.spp, 32)]
     points += [Point(f"path-{b}", "path", f"{usual_path.spp} paths a pixel, in the {'bounding box' if b == 'box' else 'shell'}",
                      PathSetting(bounds=b)) for b in ("box", "shell")]
+    if preset.direction_octaves < 0:
+        # A lattice holds one colour for all directions.
+        points += [Point(f"path-lattice-{1e3 * cell:g}-{n}", "path", f"{n} paths a pixel, on a lattice of {1e3 * cell:g} mm",
+                         PathSetting(n, lattice=cell))
+                   for cell, n in ((0.012, usual_path.spp), (0.006, usual_path.spp), (0.003, usual_path.spp), (0.003, 32), (0.003, 128))]
     return points
 
 

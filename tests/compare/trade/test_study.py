@@ -84,14 +84,16 @@ def test_a_point_is_measured_anew_where_what_it_depends_on_has_changed(trained_r
 @pytest.mark.long
 def test_path_tracing_is_a_trade_of_its_own(trained_run, capture, tmp_path, monkeypatch):
     drawn = points.rendering_points
-    monkeypatch.setattr(points, "rendering_points", lambda preset: [p for p in drawn(preset) if p.key in ("usual", "path-2", "path-shell")])
+    keys = ("usual", "path-2", "path-shell", "path-lattice-12-8")
+    monkeypatch.setattr(points, "rendering_points", lambda preset: [p for p in drawn(preset) if p.key in keys])
     monkeypatch.setattr("ndf_mi.compare.trade.drawing.CONVERGED_SPP", 32)
     monkeypatch.setattr("ndf_mi.compare.trade.paths.LAYERS", 1)
     trade = make(trained_run, capture, tmp_path, Settings(("path",), views=1, timed=1, repeats=1, path_size=12)).run(silent)
-    few, shell = trade.row("path-2"), trade.row("path-shell")
+    few, shell, lattice = trade.row("path-2"), trade.row("path-shell"), trade.row("path-lattice-12-8")
     # A field trained by quadrature is lit twice by paths: the truth says nothing about it.
     assert few.truth() is None and few.converged() < shell.converged()
     assert few.facts["loading"] > 0 and len(few.figures) == 1
+    assert few.converged() < lattice.converged() and "lattice" not in few.setting
     assert [group.title for group in groups(trade)][-1] == "Path tracing"
 
 
