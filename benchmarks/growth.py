@@ -13,7 +13,8 @@ Curves, all by quadrature, one raised and the rest held (`--size` pixels, 64 sam
 
 Every point is measured once a repeat, all of all curves in an order drawn anew, after a round that compiles kernels. Seconds are medians.
 Memory is what Dr.Jit had allocated at most beyond what lay there before. Writes growth.csv and growth.html with plots and fits of
-y = fixed + factor·x^exponent, and prints a sentence a curve.
+y = fixed + factor·x^exponent, and prints a sentence a curve. A curve of fewer than three points, as that of a run's two frames, is in the
+table alone.
 """
 
 from __future__ import annotations
@@ -207,8 +208,11 @@ def write(points: list[Point], options: Options) -> None:
         mine = [point for point in points if point.curve == curve]
         x = [point.x for point in mine]
         charts, sentences = [], []
+        if len(mine) < 3:
+            # A run of few frames has few points; the table has them all the same.
+            sentences.append(f"{len(mine)} point{'' if len(mine) == 1 else 's'}: how it grows takes three to tell, and is left out.")
         for cost, unit, values in (("Time", "s", [float(np.median(point.seconds)) for point in mine]),
-                                   ("Memory", "MiB", [max(point.memory, 1) / 2**20 for point in mine])):
+                                   ("Memory", "MiB", [max(point.memory, 1) / 2**20 for point in mine])) if len(mine) >= 3 else ():
             growth = fit_growth(x, values)
             charts.append(growth_chart(growth, RAISED.get(curve, curve), unit, cost))
             sentences.append(growth.sentence(cost, RAISED.get(curve, curve), unit))

@@ -1,20 +1,30 @@
 """What a planned model costs and gives beside the full one, on captures that need a part and on captures that do not.
 
-    python benchmarks/plan.py captures/plan --steps 3000
+    python benchmarks/plan.py captures/plan --steps 3000 --seeds 3
+    python benchmarks/plan.py captures/plan --only poses --put-back colour band detail
 
 Makes the captures below in the folder where they are not there yet (about a minute each), plans each, and trains side by side, a step of
-one after a step of the other, so that what else the machine does hits all alike: the full model, the planned one, and for each part that
-the capture is made to need the planned one without it. Prints for each capture what the plan left out, the held-out box PSNR of each
-model and its difference to the full one's, medians of seconds a training step and an image, and their ratios to the full model's; and
-at the end which of the promises are kept: a planned model is at most 0.1 dB worse than the full one, and where parts could be left out
-takes at most 60 % of its time; what is needed is kept, and costs more than 0.1 dB where it is left out.
+one after a step of the other, so that what else the machine does hits all alike: the full model, the planned one, for each part that
+the capture is made to need the planned one without it, and for each finding named by `--put-back` the planned one with all that this
+finding took away. With `--seeds` all of it is trained so many times, from other weights and along other rays. Prints for each capture
+what the plan left out, the held-out box PSNR of each model and its difference to the full one's, medians of seconds a training step and
+an image, and their ratios to the full model's; and at the end which of the promises are kept: a planned model is at most 0.1 dB worse
+than the full one, and where parts could be left out takes at most 60 % of its time; what is needed is kept, and costs more than 0.1 dB
+where it is left out.
 
-Rows of a capture are written to FOLDER/results.json when it is done, and not measured again by the same command.
+A difference has two standard errors: over the held-out images, of its mean over the trainings, which says how far it holds for other
+images of the same capture; and over the trainings, of its mean over the images, which says how far it holds for other seeds, and takes
+two seeds to tell.
+
+Rows of a capture and a seed are written to FOLDER/results.json when they are done, and not measured again by a command that compares the
+same models, trained and drawn alike, on the same capture.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import sys
 import tempfile
 import time
@@ -39,13 +49,14 @@ from ndf_mi.capture.synthesise.plan import SIZES  # noqa: E402
 from ndf_mi.capture.synthesise.synthesise import synthesise  # noqa: E402
 from ndf_mi.compare import machine, metrics  # noqa: E402
 from ndf_mi.compare.methods.ndf import NeuralField  # noqa: E402
+from ndf_mi.errors import InputError  # noqa: E402
 from ndf_mi.field import Preset  # noqa: E402
 from ndf_mi.json_input import load_json  # noqa: E402
 from ndf_mi.learn.loop import start  # noqa: E402
 from ndf_mi.learn.options import TrainingOptions  # noqa: E402
 from ndf_mi.learn.trainer import Trainer  # noqa: E402
 from ndf_mi.planning.plan import Plan  # noqa: E402
-from ndf_mi.planning.planner import full_model, plan  # noqa: E402
+from ndf_mi.planning.planner import full_model, plan, put_back  # noqa: E402
 
 WORTH, SHARE = 0.1, 0.6
 """dB that a planned model may be worse by and a part has to be worth, and the share of the full model's time that it may take."""
@@ -60,6 +71,9 @@ PARTS: dict[str, dict[str, Any]] = {
     "band": BAND,
 }
 """What leaving a part out changes in a preset."""
+
+FINDINGS = ("pose", "light", "view", "band", "detail", "colour")
+"""Whose changes may be put back."""
 
 
 @dataclass(frozen=True)
@@ -104,54 +118,107 @@ class Options:
     """Times that every image is rendered for its time, after once."""
 
     seed: int = 0
-    """Of the trainings."""
+    """Of the first training of each model."""
+
+    seeds: int = 1
+    """Trainings of each model, with this seed and those that follow."""
+
+    put_back: tuple[str, ...] = ()
+    """Findings: the planned model is trained with all that each took away, too. One that took nothing away is passed over."""
+
+    def __post_init__(self) -> None:
+        for name, low in (("steps", 1), ("samples", 1), ("repeats", 1), ("seed", 0), ("seeds", 1)):
+            if getattr(self, name) < low:
+                raise InputError(f"--{name}", str(getattr(self, name)), f"a whole number from {low} on")
+        for name, given, known in (("only", self.only, CAPTURES), ("put-back", self.put_back, FINDINGS)):
+            for value in given:
+                if value not in known:
+                    raise InputError(f"--{name}", repr(value), "one of " + ", ".join(known))
 
 
 @dataclass
 class Row:
-    """One model on one capture: dB, and seconds a step and an image."""
+    """One model on one capture, trained once: dB of each held-out image, and median seconds a step and an image."""
 
     model: str
-    psnr: float = 0.0
     step: float = 0.0
     image: float = 0.0
     images: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One model on one capture, over all of its trainings.
+
+    Attributes:
+        model: its name.
+        psnr: (seeds, images) dB.
+        step, image: seconds, the mean over the trainings.
+    """
+
+    model: str
+    psnr: np.ndarray
+    step: float
+    image: float
+
+    def to(self, other: Summary) -> tuple[float, float, float]:
+        """The mean difference to another in dB, and its standard errors over the images and over the seeds; NaN where one is all."""
+        difference = self.psnr - other.psnr
+        return float(difference.mean()), standard_error(difference.mean(axis=0)), standard_error(difference.mean(axis=1))
+
+
+def standard_error(values: np.ndarray) -> float:
+    """Of the mean of values; NaN of a single one."""
+    return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("nan")
 
 
 def main(options: Options) -> None:
     """Makes, plans, trains, measures and prints."""
     kept = options.folder / "results.json"
     known: dict[str, Any] = load_json(kept) if kept.is_file() else {}
-    print(", ".join(machine.describe().values()) + f"; {options.steps} steps\n")
+    print(", ".join(machine.describe().values()) + f"; {options.steps} steps, {options.seeds} seeds\n")
     verdicts: list[str] = []
     for name in options.only:
         made = CAPTURES[name]
         capture = Capture.read(synthesise(options.folder / name, SIZES["plan"], light=made.light, look=made.look))
-        key = f"{name} {options.steps} {options.samples} {options.repeats} {options.seed}"
         found = plan(capture)
-        entry = known.get(key)
-        if entry is None or entry["preset"] != found.preset.to_dict():
-            rows = study(capture, models(made, found), options)
-            entry = known[key] = {"preset": found.preset.to_dict(), "rows": [dataclasses.asdict(row) for row in rows]}
-            files.write_json(kept, known)
-        verdicts += shown(name, made, found, [Row(**row) for row in entry["rows"]])
+        compared = models(made, found, options.put_back)
+        trained = []
+        for seed in range(options.seed, options.seed + options.seeds):
+            # All that the rows depend on, but for the machine and the code.
+            of = {"capture": name, "digest": capture.digest, "steps": options.steps, "samples": options.samples, "repeats": options.repeats,
+                  "seed": seed, "models": {model: preset.to_dict() for model, preset in compared.items()}}
+            key = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:20]
+            if key not in known:
+                known[key] = {"of": of, "rows": [dataclasses.asdict(row) for row in study(name, capture, compared, options, seed)]}
+                files.write_json(kept, known)
+            trained.append([Row(**row) for row in known[key]["rows"]])
+        verdicts += shown(name, made, found, [summary(rows) for rows in zip(*trained, strict=True)], options)
     print("\n".join(verdicts))
 
 
-def models(made: Made, found: Plan) -> dict[str, Preset]:
+def models(made: Made, found: Plan, back: tuple[str, ...]) -> dict[str, Preset]:
     """The models compared on a capture."""
-    without = {f"without {part}": dataclasses.replace(found.preset, **PARTS[part]) for part in made.needs}
-    return {"full": full_model(), "planned": found.preset, **without}
+    without = {f"planned, without {part}": dataclasses.replace(found.preset, **PARTS[part]) for part in made.needs}
+    took = {finding.key for finding in found.findings if finding.left_out and finding.changes}
+    return {"full": full_model(), "planned": found.preset, **without,
+            **{f"planned, with {key}": put_back(found, key) for key in back if key in took}}
 
 
-def study(capture: Capture, presets: dict[str, Preset], options: Options) -> list[Row]:
+def summary(rows: tuple[Row, ...]) -> Summary:
+    """One model's rows, a training each."""
+    return Summary(rows[0].model, np.array([row.images for row in rows]), float(np.mean([row.step for row in rows])),
+                   float(np.mean([row.image for row in rows])))
+
+
+def study(name: str, capture: Capture, presets: dict[str, Preset], options: Options, seed: int) -> list[Row]:
     """Trains models side by side, then renders them side by side."""
     rows = [Row(name) for name in presets]
-    training = TrainingOptions(steps=options.steps, seed=options.seed)
+    training = TrainingOptions(steps=options.steps, seed=seed)
     with tempfile.TemporaryDirectory() as folder:
         trainers = [start(Path(folder) / str(i), capture, preset, training) for i, preset in enumerate(presets.values())]
-        seconds = np.array([[_timed(trainer) for trainer in trainers] for _ in track(range(options.steps), f"training {len(rows)} models",
-                                                                                     console=Console(file=sys.stderr))])
+        steps = track(range(options.steps), f"{name}, seed {seed}: training {len(rows)} models", console=Console(file=sys.stderr))
+        seconds = np.array([[_timed(trainer) for trainer in trainers] for _ in steps])
         for trainer in trainers:
             trainer.publish()
         methods = [NeuralField(trainer.run, options.samples) for trainer in trainers]
@@ -172,7 +239,7 @@ def study(capture: Capture, presets: dict[str, Preset], options: Options) -> lis
     # The first steps compile.
     later = np.median(seconds[options.steps // 4 :], axis=0)
     for i, row in enumerate(rows):
-        row.psnr, row.step, row.image = float(np.mean(row.images)), float(later[i]), float(np.median(taken[i]))
+        row.step, row.image = float(later[i]), float(np.median(taken[i]))
     return rows
 
 
@@ -183,28 +250,42 @@ def _timed(trainer: Trainer) -> float:
     return time.perf_counter() - begun
 
 
-def shown(name: str, made: Made, found: Plan, rows: list[Row]) -> list[str]:
+def shown(name: str, made: Made, found: Plan, rows: list[Summary], options: Options) -> list[str]:
     """Prints a capture's table; returns what of the promises is kept on it."""
     full, planned = rows[0], rows[1]
     print(f"{name}: needs {', '.join(made.needs) or 'nothing'}; the plan leaves out "
-          + ", ".join(f"{finding.key} ({finding.left_out})" for finding in found.findings if finding.left_out) + "\n")
-    print("| | PSNR | to full | s a step | ratio | s an image | ratio |\n| --- | --- | --- | --- | --- | --- | --- |")
+          + ", ".join(f"{finding.key} ({finding.left_out})" for finding in found.findings if finding.left_out))
+    passed = [key for key in options.put_back if f"planned, with {key}" not in {row.model for row in rows}]
+    if passed:
+        print(f"nothing to put back of {', '.join(passed)}")
+    seeds, images = full.psnr.shape
+    print(f"\n± images: the standard error over {images} images; ± seeds: that over {seeds} {'trainings' if seeds > 1 else 'training'}"
+          "\n\n| | PSNR | to full | ± images | ± seeds | s a step | ratio | s an image | ratio |\n"
+          "| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     for row in rows:
-        difference = np.array(row.images) - np.array(full.images)
-        error = difference.std(ddof=1) / np.sqrt(len(difference)) if len(difference) > 1 else float("nan")
-        print(f"| {row.model} | {row.psnr:.2f} | {row.psnr - full.psnr:+.2f} ± {error:.2f} | {row.step:.4f} | {row.step / full.step:.2f} "
-              f"| {row.image:.4f} | {row.image / full.image:.2f} |")
+        mean, over_images, over_seeds = row.to(full)
+        print(f"| {row.model} | {row.psnr.mean():.2f} | {mean:+.2f} | {_error(over_images)} | {_error(over_seeds)} | {row.step:.4f} "
+              f"| {row.step / full.step:.2f} | {row.image:.4f} | {row.image / full.image:.2f} |")
     print(flush=True)
     p = found.preset
     has = {"pose": bool(p.pose_layers), "light": p.normal_octaves >= 0, "view": p.direction_octaves >= 0,
            "band": p.band > 1.5 * BAND["band"]}
     verdicts = [_verdict(name, f"{part} is {'kept' if has[part] else 'left out'}", has[part] == (part in made.needs)) for part in PARTS]
-    verdicts.append(_verdict(name, f"planned {planned.psnr - full.psnr:+.2f} dB", planned.psnr >= full.psnr - WORTH))
+    verdicts.append(_verdict(name, f"planned {_told(planned, full)} to the full model", planned.to(full)[0] >= -WORTH))
     for what, ratio in (("training", planned.step / full.step), ("rendering", planned.image / full.image)):
         verdicts.append(_verdict(name, f"{what} in {100 * ratio:.0f} % of the full model's time", ratio <= SHARE))
-    for row in rows[2:]:
-        verdicts.append(_verdict(name, f"{row.model}: {row.psnr - planned.psnr:+.2f} dB", row.psnr < planned.psnr - WORTH))
+    for row in rows[2 : 2 + len(made.needs)]:
+        verdicts.append(_verdict(name, f"{row.model} {_told(row, planned)} to the planned one", row.to(planned)[0] < -WORTH))
     return verdicts
+
+
+def _told(row: Summary, other: Summary) -> str:
+    mean, over_images, over_seeds = row.to(other)
+    return f"{mean:+.2f} dB (± {_error(over_images)} over images, {_error(over_seeds)} over seeds)"
+
+
+def _error(value: float) -> str:
+    return f"{value:.2f}" if np.isfinite(value) else "–"
 
 
 def _verdict(name: str, text: str, good: bool) -> str:
@@ -212,4 +293,7 @@ def _verdict(name: str, text: str, good: bool) -> str:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options, description=__doc__))
+    try:
+        main(tyro.cli(Options, description=__doc__))
+    except InputError as error:
+        sys.exit(str(error))

@@ -56,14 +56,19 @@ def ring_camera(name: str, angle: float, height: float = 0.4, size: int = SIZE) 
     return Camera(name, size, size, 1.5 * size, 1.5 * size, 0.51 * size, 0.48 * size, transform)
 
 
-def draw(body: Body, vertices: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """The truth: vertex colours need no texture lookup, so the method under test shares nothing with it but Mitsuba."""
+def draw(body: Body, vertices: np.ndarray, camera: Camera, colours: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The truth: vertex colours need no texture lookup, so the method under test shares nothing with it but Mitsuba.
+
+    Args:
+        colours: (3·F, 3) sRGB of the triangles' corners, in the place of the known texture's.
+    """
     corners, uv = body.faces.ravel(), body.uv[body.uv_faces.ravel()]
+    colours = known_texture(uv) if colours is None else colours
     properties = mi.Properties()
     radiance = {"type": "mesh_attribute", "name": "vertex_colour"}
     properties["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
     mesh = mi.Mesh("truth", len(corners), len(body.faces), props=properties)
-    mesh.add_attribute("vertex_colour", 3, srgb_to_linear(known_texture(uv)).astype(np.float32).ravel())
+    mesh.add_attribute("vertex_colour", 3, srgb_to_linear(colours).astype(np.float32).ravel())
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = vertices[corners].ravel()
     parameters["faces"] = np.arange(len(corners), dtype=np.uint32)

@@ -72,6 +72,9 @@ class Optimise:
             preset, training = configured(
                 self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds, seed=self.seed,
                 integrator=self.integrator, planned=chosen)
+            if chosen is not None and training.atlas != "body":
+                raise InputError("--model", f"atlas={training.atlas} beside it",
+                                 "one of the two: a plan's grid is as fine as the body's own atlas needs it")
             base = chosen or preset_of(self.preset)
             changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
             if changed:

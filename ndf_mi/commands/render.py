@@ -52,11 +52,12 @@ class Render:
     of the first two."""
 
     budget: str | None = None
-    """Run: choose all of that, and --spp, for the best picture in a time such as 0.5s, 300ms or 2min, once kernels are compiled. From a
-    profile of this machine, which is measured on first use and kept."""
+    """Run: choose --samples, --cutoff and --spp for the best picture in a time such as 0.5s, 300ms or 2min, once kernels are compiled. From
+    a profile of this machine, which is measured on first use and kept. Pictures are neither --stratified nor drawn by other --networks."""
 
     error: str | None = None
-    """Run: choose the quickest picture that gives up no more than so much, such as 0.5dB, of the PSNR that the run reaches."""
+    """Run: choose the same for the quickest picture that gives up no more than so much, such as 0.5dB, of the PSNR that the run reaches on
+    the images it was trained on."""
 
     define: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-D"]), tyro.conf.UseAppendAction] = ()
     """Scene: a parameter of the scene as NAME=VALUE, e.g. run=runs/demo; may be given several times."""
@@ -134,7 +135,7 @@ class Render:
         write_exr(self.out, channels)
 
     def _wish(self) -> tuple[float | None, float | None]:
-        """The seconds and the dB asked for. Raises InputError where they, or one of them and what they choose, are given together."""
+        """The seconds and the dB asked for. Raises InputError where they, or one of them and another way to draw, are given together."""
         from ndf_mi.compare.trade.choice import parse_decibel, parse_seconds
 
         if self.budget is not None and self.error is not None:
@@ -142,7 +143,8 @@ class Render:
         for wish in ("budget", "error"):
             chosen = [name for name in (*self._turned(), "spp") if getattr(self, name) not in (None, False)]
             if getattr(self, wish) is not None and chosen:
-                raise InputError(f"--{wish}", f"it together with --{chosen[0]}", f"one of them: --{wish} chooses --{chosen[0]}")
+                why = f"chooses --{chosen[0]}" if chosen[0] in ("samples", "cutoff", "spp") else "knows pictures without it alone"
+                raise InputError(f"--{wish}", f"it together with --{chosen[0]}", f"one of them: --{wish} {why}")
         return (None if self.budget is None else parse_seconds(self.budget), None if self.error is None else parse_decibel(self.error))
 
     def _turned(self) -> tuple[str, ...]:

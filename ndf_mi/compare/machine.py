@@ -16,7 +16,7 @@ def describe() -> dict[str, str]:
     """Label → value, for people to read: processor, cores, memory, system, versions, variant."""
     return {
         "Processor": _processor(),
-        "Cores": str(_cores()),
+        "Cores": _cores(),
         "Memory": _memory(),
         "System": platform.platform(),
         "Variant": str(mi.variant()),
@@ -33,9 +33,32 @@ def describe() -> dict[str, str]:
     }
 
 
-def _cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def _cores() -> str:
+    """The cores that this process may use: those it may run on, or as many as its control groups grant it time for, where that is less."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return f"{min([float(cores), *_quotas()]):g}"
+
+
+def _quotas(root: str = "/sys/fs/cgroup", own: str = "/proc/self/cgroup") -> list[float]:
+    """Cores' worth of time that the control groups of this process, of either version and each up to its root, grant it."""
+    found = []
+    for line in _lines(own):
+        _, _, rest = line.partition(":")
+        controllers, _, path = rest.partition(":")
+        # Version 2 has one tree of groups and one file; version 1 has a tree for each controller, and two files.
+        top = Path(root, controllers) if controllers else Path(root)
+        if controllers and "cpu" not in controllers.split(","):
+            continue
+        folder = top / path.strip("/")
+        for group in (folder, *folder.parents):
+            text = " ".join(_lines(str(group / "cpu.max")) if not controllers else
+                            _lines(str(group / "cpu.cfs_quota_us")) + _lines(str(group / "cpu.cfs_period_us")))
+            quota, _, period = text.partition(" ")
+            if quota.isdecimal() and period.isdecimal() and int(period) > 0:
+                found.append(int(quota) / int(period))
+            if group == top:
+                break
+    return found
 
 
 def _processor() -> str:

@@ -178,6 +178,8 @@ class _Signals:
 def _log(log: TextIO, board: SummaryWriter, trainer: Trainer) -> None:
     now = trainer.progress
     row = {"step": now.step, "seconds": round(now.seconds, 3), "loss": now.error, "psnr": round(now.psnr, 4), "samples": now.evaluated}
+    if now.box_psnr is not None:
+        row["box_psnr"] = round(now.box_psnr, 4)
     print(json.dumps(row), file=log, flush=True)
     for name in ("loss", "psnr", "samples"):
         board.add_scalar(f"training/{name}", row[name], now.step)

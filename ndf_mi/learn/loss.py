@@ -14,10 +14,12 @@ from ndf_mi.render.quadrature import Radiance
 
 @dataclass
 class Loss:
-    """`total` to be minimised, attached; `image` the mean squared error in sRGB, detached."""
+    """`total` to be minimised, attached; `image` the mean squared error in sRGB, and `box` that of the rays drawn from the body's box
+    alone, NaN where there are none, None where it was not asked for; detached."""
 
     total: mi.Float
     image: mi.Float
+    box: mi.Float | None = None
 
 
 class ImageLoss:
@@ -34,11 +36,15 @@ class ImageLoss:
         self._edge_scale = options.edge_weight / density_gain
         self._edge_on = dr.opaque(mi.Float, 0.0)
 
-    def __call__(self, seen: Radiance, target: mi.Color3f, mask: mi.Float, sure: mi.Float) -> Loss:
-        """Loss of N rays against `target` (sRGB) and, where `sure` is 1 rather than 0, `mask` (1 on the performer)."""
+    def __call__(self, seen: Radiance, target: mi.Color3f, mask: mi.Float, sure: mi.Float,
+                 in_box: mi.Float | None = None) -> Loss:
+        """Loss of N rays against `target` (sRGB) and, where `sure` is 1 rather than 0, `mask` (1 on the performer); `in_box` is 1 for the
+        rays drawn from the body's box, else 0."""
         colour = linear_to_srgb(seen.colour + (1.0 - seen.opacity) * self._background)
-        image = dr.mean(dr.squared_norm(colour - target)) / 3.0
-        return Loss(image + self.shape(seen, mask, sure), dr.detach(image))
+        error = dr.squared_norm(colour - target) / 3.0
+        image, detached = dr.mean(error), dr.detach(error)
+        box = None if in_box is None else dr.sum(dr.select(in_box > 0, detached, 0.0)) / dr.sum(in_box)
+        return Loss(image + self.shape(seen, mask, sure), dr.detach(image), box)
 
     def shape(self, seen: Radiance, mask: mi.Float, sure: mi.Float) -> mi.Float:
         """The loss's terms in the density alone: opacity against `mask` where `sure` is 1, and density near the band's edge."""

@@ -17,7 +17,8 @@ from ndf_mi.learn.options import TrainingOptions
 @dataclass(frozen=True)
 class RayBatch:
     """R rays of one frame, numpy float32: `origin` and unit `direction` (3, R) in world space, `target` (3, R) sRGB in [0, 1],
-    `mask` (R,) 1 on the performer, else 0, and `sure` (R,) 1 where the mask says what the opacity is, else 0."""
+    `mask` (R,) 1 on the performer, else 0, `sure` (R,) 1 where the mask says what the opacity is, else 0, and `in_box` (R,) 1 where the
+    pixel was drawn from all of the body's box, 0 where from the mask: what is not as frequent as it is in a picture."""
 
     frame: int
     origin: np.ndarray
@@ -25,6 +26,7 @@ class RayBatch:
     target: np.ndarray
     mask: np.ndarray
     sure: np.ndarray
+    in_box: np.ndarray
 
 
 class RaySampler:
@@ -68,8 +70,7 @@ class RaySampler:
         counts[: options.rays % len(self._cameras)] += 1
         rng.shuffle(counts)
         parts = [self._draw(rng, (row, column), int(count)) for column, count in enumerate(counts) if count]
-        origin, direction, target, mask, sure = (np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True))
-        return RayBatch(self._frames[row], origin, direction, target, mask, sure)
+        return RayBatch(self._frames[row], *(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
 
     def _draw(self, rng: np.random.Generator, key: tuple[int, int], count: int) -> tuple[np.ndarray, ...]:
         on_mask = round(count * self._options.mask_share)
@@ -78,7 +79,7 @@ class RaySampler:
         origin, direction = pixel_rays(camera, pixels)
         return (origin.astype(np.float32), direction.astype(np.float32),
                 self._images[key][pixels].T.astype(np.float32) / 255, self._masks[key][pixels].astype(np.float32),
-                self._sure[key][pixels].astype(np.float32))
+                self._sure[key][pixels].astype(np.float32), (np.arange(count) >= on_mask).astype(np.float32))
 
 
 def pixel_rays(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

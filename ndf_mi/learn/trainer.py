@@ -28,12 +28,14 @@ _SMOOTHING = 0.98
 
 @dataclass(frozen=True)
 class Progress:
-    """Where training stands: steps done, seconds spent, smoothed mean squared error in sRGB, samples that reached the networks, steps
-    refused because their gradients were not finite or the weights would not have been, and what that has left of the learning rates."""
+    """Where training stands: steps done, seconds spent, smoothed mean squared error in sRGB of all rays drawn and of those drawn from the
+    body's box alone (NaN without such rays, and through scattering), samples that reached the networks, steps refused because their
+    gradients were not finite or the weights would not have been, and what that has left of the learning rates."""
 
     step: int
     seconds: float
     error: float
+    box_error: float
     evaluated: int
     refused: int = 0
     rate_factor: float = 1.0
@@ -43,15 +45,22 @@ class Progress:
         """−10·log10 of the error, in dB, on the rays drawn."""
         return -10 * math.log10(max(self.error, 1e-12))
 
+    @property
+    def box_psnr(self) -> float | None:
+        """The same on the rays drawn from the body's box alone: on pixels as frequent as they are there."""
+        return -10 * math.log10(max(self.box_error, 1e-12)) if math.isfinite(self.box_error) else None
+
 
 @dataclass(frozen=True)
 class Step:
     """What a step has found out: `loss`, one number that is not finite where the step cannot be taken; `error`, the mean squared error in
-    sRGB of the rays drawn, one number, detached; `seen`, what the quadrature saw along them."""
+    sRGB of the rays drawn, one number, detached; `seen`, what the quadrature saw along them; `box`, the error of those drawn from the
+    body's box, or None."""
 
     loss: mi.Float
     error: mi.Float
     seen: Radiance
+    box: mi.Float | None = None
 
 
 class Trainer:
@@ -73,7 +82,7 @@ class Trainer:
         self._occupancy = Occupancy(threshold=2.0) if options.skip_empty else None
         self._step = 0
         self._seconds = 0.0
-        self._error = float("nan")
+        self._error = self._box_error = float("nan")
         self._evaluated = 0
         self._rate = 0.0
 
@@ -90,7 +99,7 @@ class Trainer:
     @property
     def progress(self) -> Progress:
         """Where training stands."""
-        return Progress(self._step, self._seconds, self._error, self._evaluated, self._guard.refused, self._guard.factor)
+        return Progress(self._step, self._seconds, self._error, self._box_error, self._evaluated, self._guard.refused, self._guard.factor)
 
     @property
     def done(self) -> float:
@@ -129,8 +138,9 @@ class Trainer:
             samples = found.seen.samples
             at = self._posed.unit(mi.Point2f(samples.u.x, samples.u.y), samples.u.z)
             self._occupancy.observe(at, samples.sigma, found.seen.inside)
-        error = float(found.error[0])
-        self._error = error if math.isnan(self._error) else _SMOOTHING * self._error + (1 - _SMOOTHING) * error
+        dr.eval([value for value in (found.error, found.box) if value is not None])
+        self._error = _smoothed(self._error, float(found.error[0]))
+        self._box_error = float("nan") if found.box is None else _smoothed(self._box_error, float(found.box[0]))
         self._loss.observe(self._error)
         self._evaluated = found.seen.evaluated
         self._step += 1
@@ -139,9 +149,9 @@ class Trainer:
     def _gradients(self, batch: RayBatch) -> Step:
         """The loss along a batch of rays; its gradients go to the optimisers' parameters."""
         seen = self._see(batch)
-        loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask), mi.Float(batch.sure))
+        loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask), mi.Float(batch.sure), mi.Float(batch.in_box))
         dr.backward(loss.total)
-        return Step(loss.total, loss.image, seen)
+        return Step(loss.total, loss.image, seen, loss.box)
 
     def _see(self, batch: RayBatch) -> Radiance:
         """The field as it is now along a batch of rays, by quadrature, attached to the optimisers' parameters."""
@@ -173,6 +183,7 @@ class Trainer:
             "step": self._step,
             "seconds": self._seconds,
             "error": None if math.isnan(self._error) else self._error,
+            "box_error": None if math.isnan(self._box_error) else self._box_error,
             "rate_factor": self._guard.factor,
             "random": self._rng.bit_generator.state,
         }
@@ -195,6 +206,9 @@ class Trainer:
             self._rng.bit_generator.state = facts["random"]
             self._step, self._seconds = int(facts["step"]), float(facts["seconds"])
             self._error = float("nan") if facts["error"] is None else float(facts["error"])
+            # States written before it was told apart lack it.
+            box = facts.get("box_error")
+            self._box_error = float("nan") if box is None else float(box)
             # States written before rates could be made smaller lack it.
             self._guard.factor = float(facts.get("rate_factor", 1.0))
             self._guard.keep()
@@ -225,3 +239,8 @@ class Trainer:
         self._networks.set_learning_rate(options.learning_rate * factor)
         if self._table is not None:
             self._table.set_learning_rate(options.grid_rate * factor)
+
+
+def _smoothed(before: float, now: float) -> float:
+    """The exponential moving average, which begins with its first value."""
+    return now if math.isnan(before) else _SMOOTHING * before + (1 - _SMOOTHING) * now

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ndf_mi.capture.capture import Capture
+from ndf_mi.errors import InputError
 from ndf_mi.field import Preset, preset
 from ndf_mi.planning import findings as about
 from ndf_mi.planning.appearance import Appearance
@@ -66,3 +67,24 @@ def plan(capture: Capture, settings: Settings = Settings(), stage: Callable[[str
         {"name": capture.name, "digest": capture.digest},
         {"cameras": list(capture.splits["train"].cameras), "frames": list(frames)},
         settings, tuple(found), dataclasses.replace(full, name="planned", **changes))
+
+
+def put_back(found: Plan, key: str) -> Preset:
+    """What was planned, with all that one finding took away: the preset where that finding had found everything needed.
+
+    Args:
+        found: the plan.
+        key: of the finding. What enters the colour takes the colour network with it: only without any of it that network goes.
+
+    Raises:
+        InputError: the plan has no such finding.
+    """
+    keys = [finding.key for finding in found.findings]
+    if key not in keys:
+        raise InputError("the part put back", repr(key), "one of " + ", ".join(keys))
+    full = full_model()
+    changes = {name: value for finding in found.findings if finding.key not in (key, "colour")
+               for name, value in finding.changes.items()}
+    entering = {name: getattr(full, name) for name in ("pose_layers", "direction_octaves", "normal_octaves")} | changes
+    alone = None if key == "colour" else about.colour_alone(entering, full)
+    return dataclasses.replace(full, name=f"planned, with {key}", **(changes | ({} if alone is None else alone.changes)))

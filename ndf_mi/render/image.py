@@ -50,7 +50,7 @@ class Work:
         rays: that met the field's box, over all rays of a pixel.
         tiles: launches, and `lanes` in all of them, padding included.
         candidates: samples looked at.
-        evaluated: samples that reached the networks.
+        evaluated: samples that reached the networks, and `launched` the lanes that went through them, padding included.
     """
 
     rays: int = 0
@@ -58,6 +58,7 @@ class Work:
     lanes: int = 0
     candidates: int = 0
     evaluated: int = 0
+    launched: int = 0
 
 
 @dataclass
@@ -141,6 +142,7 @@ class ImageRenderer:
                 work.lanes += tile * count * volume.strata
                 work.candidates += len(chosen) * count * volume.strata
                 work.evaluated += seen.evaluated
+                work.launched += dr.width(seen.inside)
                 rows = [*seen.colour, seen.opacity, seen.depth]
                 if seen.u is not None and seen.normal is not None:
                     rows += [*seen.u, *seen.normal]

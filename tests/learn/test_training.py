@@ -41,6 +41,8 @@ def test_training_learns_and_writes_a_run(capture, tmp_path):
     assert np.square(image - truth)[~mask].mean() < 4e-3
     rows = [json.loads(line) for line in (run.path / "metrics.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == [50, 100, 150, 200, 250, 300] and rows[-1]["psnr"] > rows[0]["psnr"]
+    # Of all of the box's pixels most are background, which is learnt first.
+    assert rows[-1]["box_psnr"] > rows[-1]["psnr"]
     assert run.config["trained"]["steps"] == 300 and run.config["trained"]["done"]
     assert list(run.path.glob("events*"))
 
@@ -116,6 +118,23 @@ def test_the_mask_is_sure_off_its_edge_alone(capture):
     seen = Radiance(dr.zeros(mi.Color3f, 2), mi.Float(0.5, 0.5), *[None] * 5, 0)
     total = [loss(seen, mi.Color3f(0.0), mi.Float(1, 1), mi.Float(*sure)).total[0] for sure in ((1, 1), (1, 0), (0, 0))]
     np.testing.assert_allclose(total, [0.25, 0.125, 0])
+
+
+def test_the_error_of_the_boxs_rays_is_told_apart(capture):
+    """Of rays drawn from the mask half miss by 0.5, of those from the box a quarter: counted by what they were drawn from."""
+    sampler = RaySampler(capture, capture.splits["train"], dataclasses.replace(OPTIONS, rays=2000, mask_share=0.25))
+    batch = sampler(np.random.default_rng(0))
+    assert batch.in_box.mean() == pytest.approx(0.75, abs=0.01) and (batch.mask[batch.in_box == 0] == 1).all()
+    # The box's rays see the performer as often as its pixels show it: less often than not.
+    assert batch.mask[batch.in_box == 1].mean() < 0.9
+    off = np.where(batch.in_box == 1, np.arange(2000) % 4 == 0, np.arange(2000) % 2 == 0)
+    loss = ImageLoss(dataclasses.replace(OPTIONS, opacity_weight=0.0, edge_weight=0.0), mi.Color3f(0.0), 0.08, 1.0)
+    seen = Radiance(dr.zeros(mi.Color3f, 2000), dr.ones(mi.Float, 2000), *[None] * 5, 0)
+    found = loss(seen, mi.Color3f(mi.Float(0.5 * off)), mi.Float(0), mi.Float(0), mi.Float(batch.in_box))
+    of_box, of_mask = (0.25 * off[batch.in_box == kind].mean() for kind in (1, 0))
+    assert float(found.box[0]) == pytest.approx(of_box, rel=1e-5)
+    assert float(found.image[0]) == pytest.approx(0.25 * off.mean(), rel=1e-5) and of_mask > 1.5 * of_box
+    assert loss(seen, mi.Color3f(0.0), mi.Float(0), mi.Float(0)).box is None
 
 
 def test_pixel_rays_agree_with_the_cameras_own(capture):

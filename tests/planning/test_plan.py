@@ -21,7 +21,7 @@ from ndf_mi.planning import findings
 from ndf_mi.planning.appearance import UNTOLD, Estimate
 from ndf_mi.planning.observations import chosen_frames, observe
 from ndf_mi.planning.plan import Plan, Settings, read_preset
-from ndf_mi.planning.planner import full_model, plan
+from ndf_mi.planning.planner import full_model, plan, put_back
 from ndf_mi.planning.standoff import Disagreement, standoff
 
 
@@ -103,6 +103,21 @@ def test_a_part_is_kept_where_it_is_there_beyond_doubt_and_worth_it() -> None:
     assert findings.worth(Estimate(1e-3, 0), settings) == pytest.approx(10 * np.log10(2))
 
 
+def test_what_one_finding_took_away_can_be_put_back_alone(planned: Plan) -> None:
+    full, left_out = full_model(), planned.preset
+    network = {"colour_layers", "feature_width"}
+    # What enters the colour brings the colour network back: nothing would be made of it otherwise.
+    for key, changed in (("pose", {"pose_layers", "deformation_layers"} | network), ("light", {"normal_octaves"} | network),
+                         ("view", {"direction_octaves"} | network), ("band", {"band", "band_inside"}), ("colour", network)):
+        preset = put_back(planned, key)
+        different = {field.name for field in dataclasses.fields(Preset) if getattr(preset, field.name) != getattr(left_out, field.name)}
+        assert different == changed | {"name"}
+        assert all(getattr(preset, name) == getattr(full, name) for name in changed)
+    assert put_back(planned, "detail").grid_entries == full.grid_entries
+    with pytest.raises(InputError, match="band"):
+        put_back(planned, "hair")
+
+
 def test_parts_left_out_have_no_weights_and_no_operations() -> None:
     full = dataclasses.replace(full_model(), grid_entries=2**10, grid_levels=2)
     sizes, operations = [], []
@@ -159,5 +174,6 @@ def test_the_commands_plan_print_and_train(capture: Capture, tmp_path: Path, cap
         assert Preset.from_dict(config["preset"]) == Preset.from_dict(config["plan"]["preset"])
     assert main(["optimise", str(capture.path), "-o", str(tmp_path / "x"), "--model", "auto", "--preset", "paper"]) == 2
     assert main(["optimise", str(capture.path), "-o", str(tmp_path / "x"), "--model", "none.json"]) == 2
+    assert main(["optimise", str(capture.path), "-o", str(tmp_path / "x"), "--model", str(file), "--option", "atlas=one-piece"]) == 2
     assert main(["plan", str(capture.path), "--worth", "-1"]) == 2
     assert not (tmp_path / "x").exists()

@@ -109,6 +109,8 @@ def test_work_counts_what_was_asked_for():
     # Ten of the twelve columns, and rows, of pixels look at the cube around the ball.
     assert 100 <= work.rays == renderer.met(ball, Parallel()) <= 144
     assert work.candidates == 16 * work.rays and work.evaluated == ball.asked and work.tiles == 4
+    # Each tile's few samples take the least array there is.
+    assert work.launched == 4 * 2048
     assert work.lanes == 4 * renderer.tiling(1, work.rays)[2] * 4 >= work.candidates
 
 

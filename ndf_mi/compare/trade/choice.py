@@ -10,10 +10,12 @@ from dataclasses import dataclass
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.compare.methods.ndf import read_history
-from ndf_mi.compare.trade.cost import CostModel, Sight
-from ndf_mi.compare.trade.profile import CUTOFFS, Key, Profile, profile_of
+from ndf_mi.compare.trade.cost import CostModel
+from ndf_mi.compare.trade.profile import Key, profile_of
 from ndf_mi.compare.trade.setting import Setting
+from ndf_mi.compare.trade.sight import Sight, look
 from ndf_mi.errors import InputError
+from ndf_mi.json_input import is_finite
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import QUADRATURE
 from ndf_mi.render.image import Image
@@ -23,8 +25,6 @@ from ndf_mi.run import Run
 #: closely, since each number compiles kernels of its own. More than the last are no better to the eye; what time is left goes into more
 #: rays a pixel, which smooth edges.
 SAMPLES = (*range(4, 32, 4), *range(32, 64, 8), *range(64, 128, 16), *range(128, 256, 32), *range(256, 513, 64))
-#: A view is looked at with so many samples a ray on a quarter of its width and height.
-_LOOK, _SHRINK = 32, 4
 #: How far off the time asked for a picture may be.
 TOLERANCE = 0.2
 
@@ -74,16 +74,46 @@ def parse_decibel(text: str) -> float:
     return value
 
 
-def own_error(run: Run) -> float | None:
-    """The mean squared error in sRGB that a run's training ended with, by its log; None where it says nothing.
+@dataclass(frozen=True)
+class Ended:
+    """The mean squared errors in sRGB that a training ended with, of its rays.
 
-    Held-out images have a larger one: of those a setting gives up less than is believed.
+    Attributes:
+        drawn: of all of them; None where those of the box are known.
+        box: of those drawn from the body's box, as pictures' errors are; None where the log does not tell them apart.
+        mask_share: the share of rays that were drawn from the mask's pixels.
     """
-    training = run.config.get("training")
-    by_quadrature = not isinstance(training, dict) or training.get("integrator", TrainingOptions().integrator) == QUADRATURE
-    history = read_history(run.path) if by_quadrature else []
-    psnr = history[-1].get("psnr") if history else None
-    return 10 ** (-psnr / 10) if isinstance(psnr, (int, float)) and math.isfinite(psnr) else None
+
+    drawn: float | None
+    box: float | None
+    mask_share: float
+
+    def own(self, opacity: float) -> float:
+        """The error over the pixels of the body's box, of which the performer fills the share `opacity`.
+
+        Of rays that are not told apart a share s is of the mask, the others of the box, of which b is mask: the error is larger than the
+        box's by (s + (1 − s) b) / b where all of it is on the performer, as nearly all of it is.
+        """
+        if self.box is not None:
+            return self.box
+        assert self.drawn is not None
+        s = self.mask_share
+        return self.drawn * opacity / (s + (1 - s) * opacity) if opacity > 0 else self.drawn
+
+
+def ended(run: Run) -> Ended | None:
+    """What a run's training ended with, by its log; None where it says nothing, or the run was not trained by quadrature."""
+    known = run.config.get("training")
+    training = known if isinstance(known, dict) else {}
+    usual = TrainingOptions()
+    history = read_history(run.path) if training.get("integrator", usual.integrator) == QUADRATURE else []
+    drawn, box = (_error(history[-1].get(key)) if history else None for key in ("psnr", "box_psnr"))
+    share = training.get("mask_share", usual.mask_share)
+    return None if drawn is None and box is None else Ended(drawn, box, share if is_finite(share) else usual.mask_share)
+
+
+def _error(psnr: object) -> float | None:
+    return 10 ** (-psnr / 10) if is_finite(psnr) else None
 
 
 def choose(run: Run, frame: int, camera: Camera, geometry: bool, tell: Callable[[str], None], *, budget: float | None = None,
@@ -91,7 +121,7 @@ def choose(run: Run, frame: int, camera: Camera, geometry: bool, tell: Callable[
     """The best setting whose picture takes `budget` seconds, or the quickest that gives up no more than `error` dB.
 
     Args:
-        run, frame, camera: what is drawn; the view is looked at, small, for how much of it the performer fills.
+        run, frame, camera: what is drawn; the view is looked at, small, for what its rays meet.
         geometry: whether (u, v, l) and normals are drawn, too.
         tell: told what is being done.
         budget, error: one of them.
@@ -100,32 +130,20 @@ def choose(run: Run, frame: int, camera: Camera, geometry: bool, tell: Callable[
         InputError: the quickest picture takes longer than `budget`, no setting is within `error`, or the run's own error, which that is
             relative to, is not known.
     """
-    own = own_error(run)
-    if error is not None and own is None:
+    known = ended(run)
+    if error is not None and known is None:
         raise InputError(f"{run.path / 'metrics.jsonl'}", "no error that a training by quadrature ended with",
                          "one, for --error to be relative to", "`--budget` needs none.")
     profile = profile_of(run, (camera.w, camera.h), geometry, tell)
+    own = None if known is None else known.own(profile.opacity)
     model = profile.model()
-    sight = look(run, frame, camera, profile, model)
+    sight = look(run.posed(frame), camera)
     found = [Choice(setting, model.seconds(setting, sight), *_believed(model.error(setting), own))
              for setting in _offered(model, sight, budget)]
     if budget is not None:
         return within_budget(found, budget)
     assert error is not None
     return within_error(found, error)
-
-
-def look(run: Run, frame: int, camera: Camera, profile: Profile, model: CostModel) -> Sight:
-    """How a view differs from those that the profile was measured in."""
-    setting = Setting(_LOOK, CUTOFFS[0])
-    small = camera.scaled(max(camera.w // _SHRINK, 1), max(camera.h // _SHRINK, 1))
-    work = setting.image(run, frame, small).work
-    rays = setting.renderer().met(run.posed(frame), camera)
-    total = work.rays * setting.samples * profile.strata
-    if total == 0:
-        return Sight(rays)
-    looked, evaluated = model.shares(setting)
-    return Sight(rays, work.candidates / total / max(looked, 1e-9), work.evaluated / total / max(evaluated, 1e-9))
 
 
 def drawn_in_time(choice: Choice, run: Run, frame: int, camera: Camera, geometry: bool, tell: Callable[[str], None]) -> Image:

@@ -86,7 +86,7 @@ def rendering_points(preset: Preset) -> list[Point]:
     turned += [("termination", f"cutoff-{c:g}", f"rays end at transmittance {c:g}" if c else "rays followed to their end", {"cutoff": c})
                for c in (0.0, 1e-3, 1e-2, 1e-1)]
     # What `auto` takes is what is usual; the other one is the point.
-    width = max(*preset.density_layers, *preset.colour_layers, *preset.colour_linear, *preset.deformation_layers)
+    width = max((*preset.density_layers, *preset.colour_layers, *preset.colour_linear, *preset.deformation_layers))
     other = "batched" if width <= variants.fused_width() else "fused"
     forms = {"batched": ("evaluation", "networks as matrix products"), "fused": ("evaluation", "networks as cooperative vectors"),
              "half": ("precision", "cooperative vectors in half precision")}

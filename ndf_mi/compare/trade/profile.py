@@ -5,6 +5,7 @@ A profile is a file in `$XDG_CACHE_HOME/ndf-mi/profiles`, or `~/.cache/ndf-mi/pr
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import os
@@ -17,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+import ndf_mi
 from ndf_mi import files
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.viewpoint import framing
@@ -29,23 +31,33 @@ from ndf_mi.render.image import Image
 from ndf_mi.run import Run
 
 FORMAT = "ndf-profile"
-VERSION = 1
+VERSION = 2
 #: Longer side in pixels of the pictures measured at most: times of larger ones follow from their rays.
 LARGEST = 512
 CUTOFFS = (1e-4, 1e-2)
-#: Samples a ray, by cutoff: those measured on half of the width and height, with errors, and those on all of it.
-HALF = {CUTOFFS[0]: (8, 16, 32, 64, 128, 256), CUTOFFS[1]: (8, 32, 128)}
-WHOLE = {CUTOFFS[0]: (16, 64, 256), CUTOFFS[1]: (32,)}
+#: Samples a ray, by cutoff: those measured on half of the width and height, with errors, and those on all of it. Powers of two alone would
+#: all fill arrays of steady sizes to the same share, and what padding takes could not be told from what samples take.
+HALF = {CUTOFFS[0]: (8, 16, 28, 64, 112, 256), CUTOFFS[1]: (8, 40, 128)}
+WHOLE = {CUTOFFS[0]: (16, 64, 224), CUTOFFS[1]: (32,)}
 AZIMUTHS = (0.0, 120.0)
 REPEATS = 3
 
 
 @dataclass(frozen=True)
 class Key:
-    """What a profile holds for. It is looked up by run, size and machine, and is stale where anything else differs."""
+    """What a profile holds for. It is looked up by run, size and machine, and is stale where anything else differs.
+
+    Attributes:
+        run: the folder.
+        digest: of the field's architecture and weights.
+        code: of the sources that a picture is made by.
+        size, geometry: width and height, and whether (u, v, l) and normals are drawn.
+        machine: what it is, and the versions on it.
+    """
 
     run: str
     digest: str
+    code: str
     size: tuple[int, int]
     geometry: bool
     machine: dict[str, str]
@@ -53,7 +65,7 @@ class Key:
     @classmethod
     def of(cls, run: Run, size: tuple[int, int], geometry: bool) -> Key:
         """The key of now. `geometry` is whether (u, v, l) and normals are drawn, too, which takes longer."""
-        return cls(str(run.path.resolve()), field_digest(run), size, geometry, machine.describe())
+        return cls(str(run.path.resolve()), field_digest(run), code_digest(), size, geometry, machine.describe())
 
     @property
     def file(self) -> Path:
@@ -68,14 +80,31 @@ class Key:
 
 @dataclass(frozen=True)
 class Profile:
-    """What was measured."""
+    """What was measured.
+
+    Attributes:
+        samples: settings.
+        opacity: of the converged pictures, the mean over the pixels of the body's box: the share of them that the performer fills.
+    """
 
     samples: list[Sample]
-    strata: int
+    opacity: float
 
     def model(self) -> CostModel:
         """Time and error as functions of the setting."""
-        return CostModel(self.samples, self.strata)
+        return CostModel(self.samples)
+
+
+@functools.cache
+def code_digest() -> str:
+    """SHA-256 (hex) over the sources that pictures are made by: versions alone do not tell what is being worked on."""
+    package = Path(ndf_mi.__file__).parent
+    parts = [package / name for name in ("render", "field", "projection", "model.py", "numerics.py")]
+    sources = [file for part in parts for file in ([part] if part.is_file() else sorted(part.rglob("*.py")))]
+    state = hashlib.sha256()
+    for file in sources:
+        state.update(str(file.relative_to(package)).encode() + file.read_bytes())
+    return state.hexdigest()
 
 
 def cache_folder() -> Path:
@@ -103,7 +132,7 @@ def profile_of(run: Run, size: tuple[int, int], geometry: bool, tell: Callable[[
     begun = time.perf_counter()
     made = measure(run, size, geometry, tell)
     try:
-        files.write_json(key.file, {"format": FORMAT, "version": VERSION, "key": key.to_dict(), "strata": made.strata,
+        files.write_json(key.file, {"format": FORMAT, "version": VERSION, "key": key.to_dict(), "opacity": made.opacity,
                                     "samples": [asdict(sample) for sample in made.samples]})
         tell(f"profile: measured in {time.perf_counter() - begun:.0f} s, kept as {key.file}")
     except InputError as error:
@@ -123,17 +152,18 @@ def read(key: Key) -> tuple[Profile | None, str]:
         return None, "the one kept is of another version"
     kept, now = document.get("key"), key.to_dict()
     if kept != now:
-        changed = "weights" if isinstance(kept, dict) and kept.get("digest") != now["digest"] else "machine or versions"
+        names, before = {"digest": "weights", "code": "the code that draws"}, kept if isinstance(kept, dict) else now
+        changed = next((name for part, name in names.items() if before.get(part) != now[part]), "machine or versions")
         return None, f"the one kept is stale ({changed} changed)"
     try:
         samples = [Sample(**entry) for entry in document["samples"]]
-        strata = int(document["strata"])
-        numbers = [value for sample in samples for value in asdict(sample).values() if value is not None]
+        opacity = document["opacity"]
+        numbers = [opacity, *(value for sample in samples for value in asdict(sample).values() if value is not None)]
         if not all(map(is_finite, numbers)) or {s.cutoff for s in samples if s.error is not None} != set(CUTOFFS):
             return None, "the one kept can't be read"
     except (KeyError, TypeError, ValueError):
         return None, "the one kept can't be read"
-    return Profile(samples, strata), ""
+    return Profile(samples, opacity), ""
 
 
 def measure(run: Run, size: tuple[int, int], geometry: bool, tell: Callable[[str], None]) -> Profile:
@@ -146,11 +176,13 @@ def measure(run: Run, size: tuple[int, int], geometry: bool, tell: Callable[[str
     jobs = [(pixels, Setting(n, cutoff)) for pixels, plan in ((half, HALF), (whole, WHOLE)) for cutoff, ns in plan.items() for n in ns]
     first: dict[tuple[int, int], tuple[Image, float | None]] = {}
     seconds: dict[tuple[int, int], list[float]] = {}
+    opacities = []
     for number, (frame, azimuth) in enumerate(views):
         tell(f"profile: compiling and finding errors, view {number + 1} of {len(views)}")
         small = _camera(run, frame, azimuth, half)
-        truth = converged().image(run, frame, small).over(run.background)
-        mask = metrics.box_mask(small, run.poses.vertices[run.poses.index(frame)])
+        true = converged().image(run, frame, small)
+        truth, mask = true.over(run.background), metrics.box_mask(small, run.poses.vertices[run.poses.index(frame)])
+        opacities.append(float(true.opacity[mask].mean()) if mask.any() else 0.0)
         for index, (pixels, setting) in enumerate(jobs):
             image = setting.image(run, frame, _camera(run, frame, azimuth, pixels), geometry)
             error = float(np.mean(np.square(image.over(run.background) - truth)[mask])) if pixels == half and mask.any() else None
@@ -168,12 +200,13 @@ def measure(run: Run, size: tuple[int, int], geometry: bool, tell: Callable[[str
     for index, (_, setting) in enumerate(jobs):
         works = [first[number, index][0].work for number in range(len(views))]
         errors = [error for number in range(len(views)) if (error := first[number, index][1]) is not None]
-        taken = statistics.mean(statistics.median(seconds[number, index]) for number in range(len(views)))
-        names = ("rays", "tiles", "lanes", "candidates", "evaluated")
+        # The least: whatever else the machine does meanwhile makes a picture slower, never quicker.
+        taken = statistics.mean(min(seconds[number, index]) for number in range(len(views)))
+        names = ("tiles", "lanes", "evaluated", "launched")
         counts = {name: statistics.mean(getattr(work, name) for work in works) for name in names}
         error = statistics.mean(errors) if errors else None
         samples.append(Sample(setting.samples, setting.cutoff, **counts, seconds=taken, error=error))
-    return Profile(samples, run.model.field.preset.strata)
+    return Profile(samples, statistics.mean(opacities))
 
 
 def _camera(run: Run, frame: int, azimuth: float, pixels: tuple[int, int]) -> Camera:

@@ -48,10 +48,14 @@ class Group:
 
 
 def groups(trade: Trade) -> list[Group]:
-    """The trades that there are in a study: by quadrature against the truth and against convergence, trained fields, path traced ones."""
-    drawn = [row for row in trade.rows if row.field == RUN and not row.by_paths]
-    paths = [row for row in trade.rows if row.field == RUN and row.by_paths]
-    fields = [row for row in trade.rows if row.field != RUN]
+    """The trades that there are in a study: by quadrature against the truth and against convergence, trained fields, path traced ones.
+
+    What an earlier call timed is among them where machine and versions were the same.
+    """
+    rows = [row for row in trade.rows if comparable(trade, row)]
+    drawn = [row for row in rows if row.field == RUN and not row.by_paths]
+    paths = [row for row in rows if row.field == RUN and row.by_paths]
+    fields = [row for row in rows if row.field != RUN]
     usual = trade.row("usual")
     model = None if usual is None else usual.model()
     truth, convergence = "box PSNR against the truth (dB)", "box PSNR against convergence (dB)"
@@ -71,11 +75,28 @@ def groups(trade: Trade) -> list[Group]:
     return [group for group in found if group is not None]
 
 
+def comparable(trade: Trade, row: Row) -> bool:
+    """Whether a row was timed by this call, or by an earlier one on the same machine with the same versions."""
+    sessions = trade.about["sessions"]
+    return bool(sessions.get(row.session, {}).get("machine") == sessions[trade.about["session"]]["machine"])
+
+
+def earlier(trade: Trade) -> str:
+    """What the mark of rows that an earlier call timed means; empty where there are none."""
+    rows = [row for row in trade.rows if row.session != trade.about["session"]]
+    if not rows:
+        return ""
+    other = sum(not comparable(trade, row) for row in rows)
+    on = f"; {other} of these on another machine or with other versions, and not held against the rest" if other else ""
+    return f"† was timed by an earlier call, not in turns with the others{on}."
+
+
 def markdown(trade: Trade) -> str:
     """The points as a table in Markdown."""
     heads, rows = _table(trade)
     lines = ["| " + " | ".join(heads) + " |", "| --- |" + " --- |" * (len(heads) - 1)]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows]) + "\n"
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join(lines + (["", earlier(trade)] if earlier(trade) else [])) + "\n"
 
 
 def write_trade_report(path: str | os.PathLike[str], trade: Trade, capture: Capture, folder: Path) -> None:
@@ -102,7 +123,7 @@ def write_trade_report(path: str | os.PathLike[str], trade: Trade, capture: Capt
         f"{trade.about['settings']['repeats']} repeats, in each of which every point is drawn once in each of the views timed, in random "
         f"order.</p>\n{parts}\n<h2>Pictures</h2>\n{knees(found, trade, capture, folder)}\n"
         f'<h2>All points</h2>\n<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>\n'
-        f'<p class="soft">● is on the front of its group. Memory is {escape(memory.MEANING)}</p>\n'
+        f'<p class="soft">● is on the front of its group. {escape(earlier(trade))} Memory is {escape(memory.MEANING)}</p>\n'
         f'<h2>How it was made</h2>\n<pre>{escape(trade.about["command"])}</pre>\n'
         f'<table class="facts"><tbody>{_facts(trade)}</tbody></table>\n</body>\n</html>\n'
     )
@@ -156,7 +177,8 @@ def _table(trade: Trade) -> tuple[list[str], list[list[str]]]:
         spread = f"{min(row.seconds):.3f} – {max(row.seconds):.3f}" if row.seconds else "–"
         own = row.field == RUN
         training = "" if own else f"{row.facts.get('steps') or 0:,} steps, {tables.duration(row.facts.get('training_seconds'))}"
-        rows.append([row.label, "–" if row.frame_seconds is None else f"{row.frame_seconds:.3f}", spread,
+        label = row.label + " †" * (row.session != trade.about["session"])
+        rows.append([label, "–" if row.frame_seconds is None else f"{row.frame_seconds:.3f}", spread,
                      "–" if row.memory is None else f"{row.memory / 2**20:.0f}", tables.figure("psnr", row.truth()),
                      tables.figure("box_ssim", row.truth("box_ssim")), tables.figure("psnr", row.converged()),
                      tables.figure("psnr", row.model()), "●" if row.key in on_front else "", training,
@@ -173,7 +195,7 @@ def _facts(trade: Trade) -> str:
              "Capture": f"{about['capture']['name']}, digest {about['capture']['digest'][:16]}…",
              "Errors over": ", ".join(f"{count} of {LABELS[split]}" for split, count in views.items())
              + f", {about['size'][0]} × {about['size'][1]} pixels; {metrics.LABELS['box_psnr']}, the mean over the views",
-             "Timed": f"{about['timing']['timed']} of these views", **about["machine"]}
+             "Timed": f"{about['sessions'][about['session']]['timed']} of these views", **about["machine"]}
     if about["paths"]:
         facts["Light of path tracing"] = "the capture’s" if about["lit"] else "a constant environment, as the capture’s is not known"
     return "".join(f"<tr><th>{escape(key)}</th><td>{escape(str(value))}</td></tr>" for key, value in facts.items())

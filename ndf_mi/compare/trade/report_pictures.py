@@ -15,12 +15,12 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.compare import metrics, pictures, tables
 from ndf_mi.compare.evaluate import LABELS
 from ndf_mi.compare.results import View
-from ndf_mi.compare.trade.results import Row, Trade
+from ndf_mi.compare.trade.results import Row, Trade, reference_of
 
 if TYPE_CHECKING:
     from ndf_mi.compare.trade.report import Group
 
-_PICTURES, _CONVERGED = "pictures", "converged"
+_PICTURES = "pictures"
 
 
 def knees(groups: Sequence[Group], trade: Trade, capture: Capture, folder: Path) -> str:
@@ -54,11 +54,11 @@ def _row(group: Group, chosen: Sequence[int], view: View, capture: Capture, fold
     by_truth = "truth" in group.quality
     images = [_read(folder / _PICTURES / row.key / view.file) for row in rows]
     # Fields differ from row to row where they were trained by the study: there the truth alone is common to all.
-    common = _read(folder / _PICTURES / f"{rows[0].field}-{_CONVERGED}{'-path' * rows[0].by_paths}" / view.file)
+    common = _read(folder / _PICTURES / reference_of(rows[0].field, None if rows[0].by_paths else 1) / view.file)
     shape = images[0].shape
     truth = capture.image(view.camera, view.frame)
     truth = truth if truth.shape == shape else np.asarray(resize(truth, shape, order=1, anti_aliasing=True), dtype=np.float32)
-    references = [truth if by_truth else common] * len(rows)
+    references = [truth if by_truth else _read(folder / _PICTURES / row.reference / view.file) for row in rows]
     errors = [pictures.absolute_error(a, b) for a, b in zip(references, images, strict=True)]
     top = pictures.error_scale(errors)
     box = _box(capture, view, shape)

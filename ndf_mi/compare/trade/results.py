@@ -53,6 +53,7 @@ class Row:
         memory: peak in bytes, as `memory.MEANING` says.
         figures: a view each.
         seconds: a frame, of each repeat the mean over the views timed.
+        session: what it was timed with, of the study's `sessions`: rows of one session were timed in turns.
     """
 
     key: str
@@ -66,6 +67,12 @@ class Row:
     memory: int | None = None
     figures: list[Figures] = dataclasses.field(default_factory=list)
     seconds: list[float] = dataclasses.field(default_factory=list)
+    session: str = ""
+
+    @property
+    def reference(self) -> str:
+        """The folder of the pictures that it is held against: of its field drawn to convergence, with as many rays a pixel."""
+        return reference_of(self.field, None if self.by_paths else self.setting["spp"])
 
     @property
     def frame_seconds(self) -> float | None:
@@ -83,6 +90,11 @@ class Row:
     def model(self) -> float | None:
         """The mean over the views of the PSNR that the converged field has against the truth."""
         return metrics.average([figures.model for figures in self.figures])
+
+
+def reference_of(field: str, spp: int | None) -> str:
+    """The folder of a field's converged pictures with so many rays a pixel; None for those by paths."""
+    return f"{field}-converged-{'path' if spp is None else spp}"
 
 
 @dataclass
@@ -124,13 +136,14 @@ class Trade:
         stream = io.StringIO()
         sheet = csv.writer(stream, lineterminator="\n")
         sheet.writerow(["point", "axis", "label", "field", "integrator", *turned, "seconds_a_frame", "seconds_least", "seconds_most",
-                        "repeats", "loading_seconds", "training_seconds", "training_steps", "peak_bytes", *TRUTH,
+                        "repeats", "session", "loading_seconds", "training_seconds", "training_steps", "peak_bytes", *TRUTH,
                         "converged_box_psnr", "model_box_psnr"])
         for row in self.rows:
             cells = [row.key, row.axis, row.label, row.field, "volpath" if row.by_paths else "quadrature",
                      *(row.setting.get(key) for key in turned), row.frame_seconds, min(row.seconds, default=None),
-                     max(row.seconds, default=None), len(row.seconds), row.facts.get("loading"), row.facts.get("training_seconds"),
-                     row.facts.get("steps"), row.memory, *(row.truth(key) for key in TRUTH), row.converged(), row.model()]
+                     max(row.seconds, default=None), len(row.seconds), row.session, row.facts.get("loading"),
+                     row.facts.get("training_seconds"), row.facts.get("steps"),
+                     row.memory, *(row.truth(key) for key in TRUTH), row.converged(), row.model()]
             sheet.writerow(["" if cell is None else cell for cell in cells])
         files.write_text(path, stream.getvalue())
 
@@ -141,11 +154,12 @@ def _to_json(row: Row) -> dict[str, Any]:
     means = {**{key: metrics.to_json(row.truth(key)) for key in TRUTH}, "converged": metrics.to_json(row.converged()),
              "model": metrics.to_json(row.model()), "seconds": row.frame_seconds}
     return {**{key: getattr(row, key) for key in ("key", "axis", "label", "field", "setting", "by_paths", "fingerprint", "facts",
-                                                  "memory", "seconds")}, "means": means, "figures": figures}
+                                                  "memory", "seconds", "session")}, "means": means, "figures": figures}
 
 
 def _from_json(document: dict[str, Any]) -> Row:
     figures = [Figures(View(**entry["view"]), {key: metrics.from_json(value) for key, value in entry["truth"].items()},
                        metrics.from_json(entry["converged"]), metrics.from_json(entry["model"])) for entry in document["figures"]]
     return Row(document["key"], document["axis"], document["label"], document["field"], document["setting"], document["by_paths"],
-               document["fingerprint"], document["facts"], document["memory"], figures, list(document["seconds"]))
+               document["fingerprint"], document["facts"], document["memory"], figures, list(document["seconds"]),
+               document.get("session", ""))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -25,7 +27,7 @@ from ndf_mi.compare.trade.points import OWN, RUN, PathSetting, Point, Variant
 from ndf_mi.compare.trade.report import write_trade_report
 from ndf_mi.compare.trade.results import TRUTH, Figures, Row, Trade
 from ndf_mi.compare.trade.setting import Setting
-from ndf_mi.compare.trained import expect_options, trained
+from ndf_mi.compare.trained import expect_options, read_options_of, trained
 from ndf_mi.errors import InputError
 from ndf_mi.learn.loop import expect_capture
 from ndf_mi.learn.options import TrainingOptions
@@ -35,6 +37,7 @@ RESULTS = "tradeoff.json"
 TABLE = "tradeoff.csv"
 REPORT = "report.html"
 PICTURES = "pictures"
+#: Converged pictures as they are computed with.
 CONVERGED = "converged"
 FIELDS = "fields"
 #: Steps of a training that ends by the clock: more than it will take.
@@ -79,7 +82,8 @@ class Settings:
 
 
 class TradeStudy:
-    """A study in one folder; :meth:`run` does what is still missing of it.
+    """A study in one folder; :meth:`run` does what is still missing of it. What the folder holds of axes that are not asked for now stays,
+    as long as it is of the same run, capture and views, and of trainings with the same options.
 
     Args:
         run: the run.
@@ -102,18 +106,26 @@ class TradeStudy:
         views = [view for view in choose_views(self._capture, settings.views, settings.seed) if view.split != "train"]
         self._drawing = Drawing(self._capture, self.folder / CONVERGED, views, settings.timed, settings.path_size)
         self._drawing.fields[RUN] = self._run
-        self._variants = [variant for variant in self._all_variants() if variant.axis in (*settings.axes, OWN)]
-        if not set(settings.axes) & set(points.TRAINED):
+        everything = self._all_variants()
+        self._variants = [variant for variant in everything if variant.axis in (*settings.axes, OWN)]
+        if not self._trains:
             self._variants = []
+        self._others = [variant for variant in everything if variant not in self._variants and self._is_trained(variant)]
         for variant in self._variants:
             if (self._place(variant) / "config.json").exists():
                 expect_options(Run.load(self._place(variant)), self._capture, variant.preset, variant.options)
-        lit = self._drawing.scatters(self._run)
-        wanted = [point for point in points.rendering_points(self._run.model.field.preset) if point.axis in (*settings.axes, "usual")]
-        self.points = wanted + [Point(v.key, v.axis, v.label, PathSetting() if lit else Setting(), v.key) for v in self._variants]
+        drawn = points.rendering_points(self._run.model.field.preset)
+        self.points = [point for point in drawn if point.axis in (*settings.axes, "usual")] + self._of(self._variants)
+        self._other_points = [point for point in drawn if point not in self.points] + self._of(self._others)
+        self._rows: list[Row] = []
         known = Trade.read(self.folder / RESULTS) if (self.folder / RESULTS).exists() else Trade()
         self._known = {row.key: row for row in known.rows}
-        self._timing = known.about.get("timing")
+        self._sessions: dict[str, Any] = known.about.get("sessions", {})
+        if "timing" in known.about:
+            # Written before rows told what they were timed with: all of them at once.
+            self._sessions = {_name(known.about["timing"]): known.about["timing"]}
+            for row in known.rows:
+                row.session = _name(known.about["timing"])
         self.trade = Trade(self._about(command, views))
 
     def run(self, tell: Told) -> Trade:
@@ -130,16 +142,53 @@ class TradeStudy:
                 tell(f"training {variant.label}", number, len(self._variants))
 
             self._drawing.fields[variant.key] = trained(self._place(variant), self._capture, variant.preset, variant.options, begin)
-        self.trade.rows = [self._row(point) for point in self.points]
-        for number, (point, row) in enumerate(zip(self.points, self.trade.rows, strict=True), start=1):
+        self._rows = [self._row(point) for point in self.points]
+        self.trade.rows = self._rows + self._kept()
+        self.trade.about["paths"] = any(row.by_paths for row in self.trade.rows)
+        for number, (point, row) in enumerate(zip(self.points, self._rows, strict=True), start=1):
             if not self._complete(row, point):
                 tell(f"drawing {point.label}", number, len(self.points))
                 self._measure(row, point)
                 self._write()
+            self._show_converged(row, point)
         self._time(tell)
         self.trade.write_csv(self.folder / TABLE)
         write_trade_report(self.folder / REPORT, self.trade, self._capture, self.folder)
         return self.trade
+
+    def _of(self, variants: Sequence[Variant]) -> list[Point]:
+        """The points that trained fields are: each drawn as usual."""
+        setting = PathSetting() if self._drawing.scatters(self._run) else Setting()
+        return [Point(v.key, v.axis, v.label, setting, v.key) for v in variants]
+
+    @property
+    def _trains(self) -> bool:
+        return bool(set(self._settings.axes) & set(points.TRAINED))
+
+    def _is_trained(self, variant: Variant) -> bool:
+        """Whether the folder holds such a field, trained to its end: for as long as this call trains, if it does. It is then loaded."""
+        if not (self._place(variant) / "config.json").exists():
+            return False
+        run, options = Run.load(self._place(variant)), variant.options
+        try:
+            if not self._trains:
+                known = read_options_of(run.config, str(run.path))[1]
+                options = dataclasses.replace(options, steps=known["steps"], seconds=known["seconds"])
+            expect_options(run, self._capture, variant.preset, options)
+        except InputError:
+            return False
+        self._drawing.fields[variant.key] = run
+        return bool(run.config.get("trained", {}).get("done"))
+
+    def _kept(self) -> list[Row]:
+        """Rows of points that are not asked for now, but were measured and timed before, and still hold."""
+        rows = []
+        for point in self._other_points:
+            row = self._row(point)
+            if row.seconds and self._complete(row, point):
+                self._show_converged(row, point)
+                rows.append(row)
+        return rows
 
     def _all_variants(self) -> list[Variant]:
         known = self._run.config.get("training")
@@ -160,7 +209,8 @@ class TradeStudy:
         row = Row(point.key, point.axis, point.label, point.field, point.setting.to_dict(), point.by_paths, fingerprint)
         known = self._known.get(point.key)
         if known is not None and known.fingerprint == fingerprint:
-            row.figures, row.memory, row.seconds, row.facts = known.figures, known.memory, known.seconds, known.facts
+            row.figures, row.memory, row.facts = known.figures, known.memory, known.facts
+            row.seconds, row.session = known.seconds, known.session
         return row
 
     def _complete(self, row: Row, point: Point) -> bool:
@@ -180,11 +230,19 @@ class TradeStudy:
             figures = Figures(view, {key: of_truth[key] for key in TRUTH if key in of_truth},
                               metrics.psnr(reference, picture, mask) if mask.any() else None,
                               metrics.psnr(truth, reference, mask) if truth is not None and mask.any() else None)
-            for key, image in ((point.key, picture), (f"{point.field}-{CONVERGED}{'-path' * point.by_paths}", reference)):
-                with files.replacing(self._picture(key, view)) as beside:
-                    Image.fromarray(np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)).save(beside)
+            self._save(point.key, view, picture)
             row.figures.append(figures)
         row.memory = memory
+
+    def _show_converged(self, row: Row, point: Point) -> None:
+        """Saves what a point was held against, where it is not there yet."""
+        for view in self._drawing.views(point):
+            if not self._picture(row.reference, view).is_file():
+                self._save(row.reference, view, self._drawing.converged(point, view))
+
+    def _save(self, key: str, view: View, image: np.ndarray) -> None:
+        with files.replacing(self._picture(key, view)) as beside:
+            Image.fromarray(np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)).save(beside)
 
     def _facts(self, point: Point) -> dict[str, Any]:
         run = self._drawing.fields[point.field]
@@ -198,20 +256,23 @@ class TradeStudy:
     def _time(self, tell: Told) -> None:
         """Times every point once a repeat, all of them in one view after another, in an order drawn anew: what else the machine does, and
         what it does of itself, hits all alike. Kernels are compiled in a round before, which does not count."""
-        conditions = {"machine": machine.describe(), "points": [row.fingerprint for row in self.trade.rows], "timed": self._settings.timed}
-        if conditions != self._timing:
-            for row in self.trade.rows:
-                row.seconds = []
-        self.trade.about["timing"] = conditions
-        done = min(len(row.seconds) for row in self.trade.rows)
-        for row in self.trade.rows:
+        conditions = {"machine": machine.describe(), "points": [row.fingerprint for row in self._rows], "timed": self._settings.timed}
+        session = _name(conditions)
+        if any(row.session != session for row in self._rows):
+            for row in self._rows:
+                row.seconds, row.session = [], session
+        used = {row.session for row in self.trade.rows}
+        self.trade.about["sessions"] = {name: of for name, of in (self._sessions | {session: conditions}).items() if name in used}
+        self.trade.about["session"] = session
+        done = min(len(row.seconds) for row in self._rows)
+        for row in self._rows:
             row.seconds = row.seconds[:done]
         for repeat in range(done - 1, self._settings.repeats) if done < self._settings.repeats else ():
             warming = repeat < done
             tell("compiling" if warming else "timing", max(repeat + 1, 1), self._settings.repeats)
             taken = self._round(np.random.default_rng([self._settings.seed, repeat + 1]), seed=3 + max(repeat, 0))
             if not warming:
-                for row, seconds in zip(self.trade.rows, taken, strict=True):
+                for row, seconds in zip(self._rows, taken, strict=True):
                     row.seconds.append(float(np.mean(seconds)))
                 self._write()
 
@@ -240,7 +301,12 @@ class TradeStudy:
             "settings": asdict(self._settings) | {"axes": list(self._settings.axes)},
             "scatters": self._drawing.scatters(self._run),
             "lit": self._capture.lighting is not None,
-            "paths": any(axis in points.PATHS for axis in self._settings.axes),
+            "sessions": self._sessions,
             "command": command,
             "machine": machine.describe(),
         }
+
+
+def _name(conditions: dict[str, Any]) -> str:
+    """A short name of the conditions that rows are timed in, all of them together."""
+    return hashlib.sha256(json.dumps(conditions, sort_keys=True).encode()).hexdigest()[:12]

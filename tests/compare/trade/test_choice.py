@@ -4,30 +4,34 @@ import dataclasses
 import json
 import math
 
+import numpy as np
 import pytest
 
 from ndf_mi.commands import main
 from ndf_mi.compare.trade import choice, profile
-from ndf_mi.compare.trade.choice import Choice, own_error, parse_decibel, parse_seconds, within_budget, within_error
-from ndf_mi.compare.trade.cost import CostModel, Sample, Sight
+from ndf_mi.compare.trade.choice import Choice, ended, parse_decibel, parse_seconds, within_budget, within_error
+from ndf_mi.compare.trade.cost import CostModel, Sample
 from ndf_mi.compare.trade.profile import CUTOFFS, Key, Profile
 from ndf_mi.compare.trade.setting import Setting
+from ndf_mi.compare.trade.sight import ROUNDS, Sight
 from ndf_mi.errors import InputError
-from ndf_mi.render.image import LANES
-from ndf_mi.render.sampling import QUANTUM, rounded
+
+
+def sight(rays):
+    """A view of whose samples a tenth is evaluated, and none of whose rays ends."""
+    return Sight(rays, 1, np.full((ROUNDS, 16), 0.1), np.ones((ROUNDS, 16)))
 
 
 def known_profile(fixed=0.05, each=1e-6, error=1.0):
-    """A machine that takes `each` seconds a sample evaluated, which a tenth of all are, and an error that falls with the square."""
+    """A machine that takes `each` seconds a sample evaluated, and an error that falls with the square."""
     samples = []
     for rays in (9000, 40000):
         for cutoff, factor in zip(CUTOFFS, (1.0, 1.5), strict=True):
-            for n in (8, 32, 128):
-                tile = min(LANES // (n // 4), rounded(rays, QUANTUM))
-                tiles, evaluated = 4 * math.ceil(rays / tile), 0.1 * rays * n
-                seconds = fixed + each * evaluated
-                samples.append(Sample(n, cutoff, rays, tiles, tiles * tile * n / 4, rays * n, evaluated, seconds, factor * error / n**2))
-    return Profile(samples, 1)
+            for n in (8, 40, 128):
+                c = sight(rays).counts(Setting(n, cutoff))
+                seconds = fixed + each * c.evaluated
+                samples.append(Sample(n, cutoff, c.tiles, c.lanes, c.evaluated, c.launched, seconds, factor * error / n**2))
+    return Profile(samples, 0.4)
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("0.5s", 0.5), ("300ms", 0.3), ("2 min", 120.0), (".25s", 0.25)])
@@ -50,8 +54,8 @@ def test_losses():
 
 def choices(budget=None, own=1e-3):
     model = known_profile().model()
-    sight = Sight(1000)
-    return [Choice(s, model.seconds(s, sight), *choice._believed(model.error(s), own)) for s in choice._offered(model, sight, budget)]
+    view = sight(1000)
+    return [Choice(s, model.seconds(s, view), *choice._believed(model.error(s), own)) for s in choice._offered(model, view, budget)]
 
 
 @pytest.mark.parametrize("budget", [0.0508, 0.06, 0.09, 0.3, 7.0])
@@ -88,10 +92,27 @@ def test_errors_add_up_as_independent_ones():
     assert choice._believed(1e-4, None)[1] is None
 
 
-def test_the_own_error_is_what_training_ended_with(trained_run, make_run):
+def test_the_own_error_is_that_of_the_boxs_rays_which_training_ended_with(trained_run, make_run):
     last = json.loads((trained_run.path / "metrics.jsonl").read_text().splitlines()[-1])
-    assert -10 * math.log10(own_error(trained_run)) == pytest.approx(last["psnr"])
-    assert own_error(make_run()) is None
+    for opacity in (0.1, 0.9):
+        assert -10 * math.log10(ended(trained_run).own(opacity)) == pytest.approx(last["box_psnr"])
+    assert ended(make_run()) is None
+
+
+@pytest.mark.parametrize(("share", "filled"), [(0.5, 0.38), (0.5, 1.0), (0.0, 0.4), (0.9, 0.1)])
+def test_the_error_of_rays_that_are_not_told_apart_is_that_of_more_of_the_performer(make_run, share, filled):
+    """Synthetic rays: a million pixels of the box, the performer's with errors, the background without."""
+    rng = np.random.default_rng(0)
+    pixels = 1_000_000
+    of_pixel = np.where(np.arange(pixels) < filled * pixels, rng.gamma(0.5, 2e-3, pixels), 0.0)
+    rays = 400_000
+    from_mask = round(share * rays)
+    chosen = [rng.integers(0, round(filled * pixels), from_mask), rng.integers(0, pixels, rays - from_mask)]
+    drawn = of_pixel[np.concatenate(chosen)]
+    run = make_run()
+    run.config["training"] = {"mask_share": share}
+    (run.path / "metrics.jsonl").write_text(json.dumps({"step": 1, "psnr": -10 * math.log10(drawn.mean())}) + "\n")
+    assert ended(run).own(filled) == pytest.approx(of_pixel.mean(), rel=0.02)
 
 
 @pytest.fixture
@@ -125,11 +146,14 @@ def test_a_profile_is_kept_and_made_anew_where_it_is_stale(make_run, counted, mo
     monkeypatch.setattr(profile.machine, "describe", lambda: described | {"Versions": "another"})
     get()
     assert len(counted) == 5 and "versions changed" in told[0]
-    for text in ("{", "[]", '{"format": "ndf-profile", "version": 0}', file.read_text().replace("9000", '"x"')):
+    monkeypatch.setattr(profile, "code_digest", lambda: "another")
+    get()
+    assert len(counted) == 6 and "code that draws changed" in told[0]
+    for text in ("{", "[]", '{"format": "ndf-profile", "version": 0}', file.read_text().replace('"opacity": 0.4', '"opacity": "x"')):
         file.write_text(text)
         get()
         assert "can't be read" in told[0] or "another version" in told[0]
-    assert get() == first and len(counted) == 9
+    assert get() == first and len(counted) == 10
 
 
 def test_a_profile_that_cannot_be_kept_serves_all_the_same(make_run, counted, monkeypatch, tmp_path):
@@ -184,7 +208,9 @@ def test_a_real_profile_has_all_that_the_model_needs(trained_run, monkeypatch):
     monkeypatch.setattr(profile, "REPEATS", 1)
     made = profile.measure(trained_run, (24, 32), False, lambda text: None)
     assert [(s.samples, s.error is None) for s in made.samples] == [(8, False), (32, False), (16, False), (32, True)]
-    assert all(s.seconds > 0 and s.rays > 0 and s.lanes >= s.candidates >= s.evaluated > 0 for s in made.samples)
+    assert all(s.seconds > 0 and s.tiles > 0 and s.lanes > 0 and s.launched >= s.evaluated > 0 for s in made.samples)
+    # A ball of radius 0.5 in its cube, which is seen from nearly in front and is padded by some more.
+    assert 0.2 < made.opacity < 0.8
     model: CostModel = made.model()
     assert model.error(Setting(32, CUTOFFS[0])) < model.error(Setting(8, CUTOFFS[0]))
     assert (model.coefficients >= 0).all() and dataclasses.astuple(made.samples[0])

@@ -9,8 +9,10 @@ import pytest
 from ndf_mi.commands import main
 from ndf_mi.compare.trade import points, study
 from ndf_mi.compare.trade.report import groups, markdown
-from ndf_mi.compare.trade.study import REPORT, RESULTS, TABLE, Settings, TradeStudy
+from ndf_mi.compare.trade.study import PICTURES, REPORT, RESULTS, TABLE, Settings, TradeStudy
 from ndf_mi.errors import InputError
+from ndf_mi.field import Preset
+from ndf_mi.learn.options import TrainingOptions
 
 KEYS = {"usual", "samples-8", "size-0.5"}
 SETTINGS = Settings(("samples", "size", "width"), steps=2, views=1, timed=1, repeats=2)
@@ -79,6 +81,84 @@ def test_a_point_is_measured_anew_where_what_it_depends_on_has_changed(trained_r
     make(trained_run, capture, tmp_path, settings).run(lambda text, *_: told.append(text))
     # Repeats are of all points together.
     assert told == ["drawing 8 samples", "compiling", "timing"]
+
+
+def only(monkeypatch, *keys):
+    """Fewer points than there are: those, and no field trained."""
+    drawn = points.rendering_points
+    monkeypatch.setattr(points, "rendering_points", lambda preset: [p for p in drawn(preset) if p.key in keys])
+
+
+def test_points_with_other_rays_a_pixel_are_held_against_other_pictures(trained_run, capture, tmp_path, monkeypatch):
+    only(monkeypatch, "usual", "rays-2")
+    monkeypatch.setattr("ndf_mi.compare.trade.setting.CONVERGED_SAMPLES", 64)
+    settings = Settings(("rays",), views=1, timed=1, repeats=1)
+    trade = make(trained_run, capture, tmp_path, settings).run(silent)
+    usual, rays = trade.row("usual"), trade.row("rays-2")
+    assert (usual.reference, rays.reference) == ("run-converged-1", "run-converged-2")
+    view = usual.figures[0].view
+
+    def pictures():
+        return [(tmp_path / PICTURES / row.reference / view.file).read_bytes() for row in (usual, rays)]
+
+    first = pictures()
+    assert first[0] != first[1]
+    # A folder that lacks them, or has them under another name, is completed: nothing is measured or timed again.
+    for row in (usual, rays):
+        (tmp_path / PICTURES / row.reference / view.file).unlink()
+    make(trained_run, capture, tmp_path, settings).run(lambda *_: pytest.fail("done again"))
+    assert pictures() == first
+
+
+def test_what_was_measured_of_other_axes_stays(trained_run, capture, tmp_path, few):
+    settings = {axes: Settings(axes, steps=2, views=1, timed=1, repeats=1) for axes in (("samples", "width"), ("size",))}
+    first = make(trained_run, capture, tmp_path, settings["samples", "width"]).run(silent)
+    told = []
+    second = make(trained_run, capture, tmp_path, settings["size",]).run(lambda text, *_: told.append(text))
+    assert told == ["drawing 0.5 of the width and height", "compiling", "timing"]
+    assert {row.key for row in second.rows} == {"usual", "size-0.5", "samples-8", "own", "width-0.5"}
+    for key in ("samples-8", "own", "width-0.5"):
+        assert second.row(key) == first.row(key)
+    # Two sessions of timing: what they timed is told apart, and only the rows of one were timed in turns.
+    assert len({row.session for row in second.rows}) == 2 and second.row("usual").session == second.row("size-0.5").session
+    text = markdown(second)
+    assert text.count("†") == 4 and "| 8 samples † |" in text and "not in turns" in text and "†" not in markdown(first)
+    assert {row.key for group in groups(second) for row in group.rows} == {row.key for row in second.rows}
+    assert "†" in (tmp_path / REPORT).read_text()
+    # Trained for longer, the fields of before are no match.
+    (tmp_path / "fields" / "own").rename(tmp_path / "gone")
+    other = make(trained_run, capture, tmp_path, Settings(("size",), steps=2, views=1, timed=1, repeats=1))
+    assert {row.key for row in other.run(silent).rows} == {"usual", "size-0.5", "samples-8", "width-0.5"}
+
+
+def test_rows_of_another_machine_are_shown_and_not_compared(trained_run, capture, tmp_path, few, monkeypatch):
+    make(trained_run, capture, tmp_path, Settings(("samples",), views=1, timed=1, repeats=1)).run(silent)
+    described = study.machine.describe()
+    monkeypatch.setattr(study.machine, "describe", lambda: described | {"Processor": "another"})
+    trade = make(trained_run, capture, tmp_path, Settings(("size",), views=1, timed=1, repeats=1)).run(silent)
+    assert "samples-8" in {row.key for row in trade.rows}
+    assert "samples-8" not in {row.key for group in groups(trade) for row in group.rows}
+    assert "another machine" in markdown(trade)
+
+
+def test_a_folder_of_before_rows_knew_their_session_is_gone_on_with(trained_run, capture, tmp_path, few):
+    settings = Settings(("samples",), views=1, timed=1, repeats=1)
+    make(trained_run, capture, tmp_path, settings).run(silent)
+    document = json.loads((tmp_path / RESULTS).read_text())
+    document["about"]["timing"] = document["about"].pop("sessions")[document["about"].pop("session")]
+    for row in document["points"]:
+        del row["session"]
+    (tmp_path / RESULTS).write_text(json.dumps(document))
+    make(trained_run, capture, tmp_path, settings).run(lambda *_: pytest.fail("done again"))
+
+
+def test_a_plan_that_leaves_layers_out_has_all_of_the_points():
+    planned = Preset(pose_layers=(), deformation_layers=(), colour_layers=(), feature_width=0, direction_octaves=-1)
+    keys = [point.key for point in points.rendering_points(planned)]
+    assert keys == [point.key for point in points.rendering_points(Preset())] and "usual" in keys
+    variants = points.variants_of(planned, TrainingOptions())
+    assert variants[0].preset == planned and {"width-0.5", "width-2"} < {v.key for v in variants}
+    assert all(v.preset.colour_layers == () for v in variants if v.axis in ("band", "width", "encoding"))
 
 
 @pytest.mark.long
