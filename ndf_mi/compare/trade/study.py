@@ -169,8 +169,9 @@ class TradeStudy:
         """Whether the folder holds such a field, trained to its end: for as long as this call trains, if it does. It is then loaded."""
         if not (self._place(variant) / "config.json").exists():
             return False
-        run, options = Run.load(self._place(variant)), variant.options
+        options = variant.options
         try:
+            run = Run.load(self._place(variant))
             if not self._trains:
                 known = read_options_of(run.config, str(run.path))[1]
                 options = dataclasses.replace(options, steps=known["steps"], seconds=known["seconds"])
