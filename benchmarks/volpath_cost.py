@@ -13,9 +13,10 @@ One process, repeats interleaved: every way renders once, then every way again w
 Seconds are the median over the repeats, for a picture at `--spp`. Noise is the standard deviation that one sample a pixel has, from the
 variance between the repeats in each pixel, over the mean radiance. A way that is twice as noisy needs four times the samples, so that the
 last column, seconds for a standard deviation of `--noise` in a pixel, is what to compare. Loading and compiling are apart. Error is the
-root mean square difference from a converged picture of `box`, over the mean radiance, less what noise explains of it; `noise left` is how
-much that was: an error below a third of it is none that could be seen. Evaluations are counted inside the media, null and real collisions
-and those of shadow rays, a camera ray; they depend on no machine. The performer stands before a constant environment.
+root mean square difference of close pictures of the head, of `--reference` samples a pixel, from one of `box`, over the mean radiance, less
+what noise explains of it; `noise left` is how much that was: an error below a third of it is none that could be seen. They are drawn
+after all is timed, and the table, printed once before, is printed again with them. Evaluations are counted inside the media, null and real
+collisions and those of shadow rays, a camera ray; they depend on no machine. The performer stands before a constant environment.
 
 The grids hold the albedo as seen from the camera, as they know no directions. Memory is the most that Dr.Jit had allocated while a scene
 was loaded and first rendered, beyond what lay there before.
@@ -44,6 +45,9 @@ import mitsuba as mi  # noqa: E402
 from ndf_mi.compare.trade.memory import peak_memory  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
+CHUNK = 64
+"""Samples a pixel of one picture of those that errors are told from, at most."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -64,8 +68,8 @@ class Options:
     repeats: int = 6
     """Timed repeats, at least 3."""
 
-    reference: int = 4096
-    """Samples a pixel of the converged picture; 0 leaves the errors out."""
+    reference: int = 1024
+    """Samples a pixel of the pictures that errors are told from, at least 4; 0 leaves the errors out."""
 
     noise: float = 0.01
     """Standard deviation of a pixel, over the mean radiance, that times are scaled to."""
@@ -130,17 +134,23 @@ def main(options: Options) -> None:
         if majorants:
             print(f"{way.name}: majorants " + ", ".join(f"{m:.4g}" for m in sorted(majorants)) + " per metre")
     print()
-    report(ways, reference(makers["box"], run, frame, options) if options.reference else None, options)
+    report(ways, {}, options)
+    if options.reference:
+        print(flush=True)
+        report(ways, errors(ways, makers["box"], run, frame, options), options)
 
 
-def camera(run: Run, frame: int, options: Options) -> dict[str, Any]:
-    """A sensor that sees the whole body from the front."""
+def camera(run: Run, frame: int, options: Options, close: bool = False) -> dict[str, Any]:
+    """A sensor that sees the whole body from the front; or, close, its highest 30 cm."""
     vertices = run.poses.vertices[run.poses.index(frame)]
     low, high = vertices.min(0) - 0.1, vertices.max(0) + 0.1
     centre = (low + high) / 2
     distance = 1.1 * float((high - low)[1]) / (2 * np.tan(np.radians(15)))
+    if close:
+        top = vertices[vertices[:, 1] > vertices[:, 1].max() - 0.3]
+        centre = (top.min(0) + top.max(0)) / 2
     return {
-        "type": "perspective", "fov": 30, "fov_axis": "y",
+        "type": "perspective", "fov": float(np.degrees(2 * np.arctan(0.2 / distance))) if close else 30, "fov_axis": "y",
         "to_world": mi.ScalarTransform4f().look_at((centre + [0, 0, distance]).tolist(), centre.tolist(), [0, 1, 0]),
         "film": {"type": "hdrfilm", "width": options.size * 2 // 3, "height": options.size, "pixel_format": "rgb",
                  "rfilter": {"type": "box"}},
@@ -196,9 +206,9 @@ def baked(run: Run, frame: int, cells: int) -> dict[str, Any]:
     return {"type": "heterogeneous", **volumes}
 
 
-def render(scene: mi.Scene, spp: int, seed: int) -> np.ndarray:
+def render(scene: mi.Scene, spp: int, seed: int, sensor: mi.Sensor | int = 0) -> np.ndarray:
     """One picture, (h, w, 3)."""
-    return mi.render(scene, spp=spp, seed=seed).numpy()
+    return mi.render(scene, spp=spp, seed=seed, sensor=sensor).numpy()
 
 
 def prepare(name: str, make: Callable[[], dict[str, Any]], run: Run, frame: int, options: Options) -> Way:
@@ -278,14 +288,31 @@ def count_grid(shape: mi.Shape, scene: mi.Scene, options: Options) -> float:
     return int(counter[0]) / (4 * options.size * (options.size * 2 // 3))
 
 
-def reference(make: Callable[[], dict[str, Any]], run: Run, frame: int, options: Options) -> np.ndarray:
-    """Independent pictures of the box, (n, h, w, 3), whose mean has so many samples a pixel."""
-    scene = scene_of(make(), run, frame, options)
-    spp = 64
-    return np.stack([render(scene, spp, 10_000 + i) for i in range(max(options.reference // spp, 2))])
+def sampled(scene: mi.Scene, spp: int, first: int, sensor: mi.Sensor) -> np.ndarray:
+    """Independent pictures, (n, h, w, 3), whose mean has so many samples a pixel; `first` is their first seed."""
+    each = min(CHUNK, spp // 2)
+    return np.stack([render(scene, each, first + i, sensor) for i in range(-(-spp // each))]).astype(np.float64)
 
 
-def report(ways: list[Way], converged: np.ndarray | None, options: Options) -> None:
+def errors(ways: list[Way], make: Callable[[], dict[str, Any]], run: Run, frame: int, options: Options) -> dict[str, tuple[float, float]]:
+    """Of each way but the box the error against the box, and how much noise is left in it, both over the mean radiance."""
+    if not options.reference:
+        return {}
+    sensor = mi.load_dict(camera(run, frame, options, close=True))
+    truth = sampled(scene_of(make(), run, frame, options), options.reference, 10_000, sensor)
+    found = {}
+    for number, way in enumerate(ways):
+        if way.name == "box":
+            continue
+        pictures = sampled(way.scene, options.reference, 20_000 + 1_000 * number, sensor)
+        rest = sum(float(p.var(0, ddof=1).mean()) / len(p) for p in (pictures, truth))
+        square = float(((pictures.mean(0) - truth.mean(0)) ** 2).mean()) - rest
+        # Where noise alone would be larger, nothing can be told.
+        found[way.name] = np.sqrt(max(square, 0)) / truth.mean(), np.sqrt(rest) / truth.mean()
+    return found
+
+
+def report(ways: list[Way], off: dict[str, tuple[float, float]], options: Options) -> None:
     """Prints the table."""
     print("| way | seconds | noise of a sample | evaluations a ray | error | noise left | loading, s | first picture, s | memory, MiB "
           f"| seconds for {100 * options.noise:g} % noise |")
@@ -295,12 +322,7 @@ def report(ways: list[Way], converged: np.ndarray | None, options: Options) -> N
         level = pictures.mean()
         variance = float(pictures.var(0, ddof=1).mean()) * options.spp / level**2
         seconds = float(np.median(way.seconds))
-        error, left = "", ""
-        if converged is not None:
-            rest = float(pictures.var(0, ddof=1).mean()) / len(pictures) + float(converged.var(0, ddof=1).mean()) / len(converged)
-            square = float(((pictures.mean(0) - converged.mean(0)) ** 2).mean()) - rest
-            error = f"{100 * np.sqrt(max(square, 0)) / converged.mean():.2f} %"
-            left = f"{100 * np.sqrt(rest) / converged.mean():.2f} %"
+        error, left = (f"{100 * value:.2f} %" for value in off[way.name]) if way.name in off else ("–", "–")
         needed = seconds / options.spp * variance / options.noise**2
         print(f"| {way.name} | {seconds:.2f} | {np.sqrt(variance):.2f} | {way.evaluations:.1f} | {error} | {left} | {way.load:.1f} "
               f"| {way.first:.1f} | {way.memory:.0f} | {needed:.1f} |")
