@@ -101,13 +101,20 @@ class ImageRenderer:
             raise InputError("cutoff", f"{self.cutoff:g}", "a transmittance in [0, 1)")
 
     def __call__(self, volume: VolumeField, camera: RaySource, geometry: bool = False) -> Image:
-        """Renders `volume` as `camera` sees it; the same every time."""
+        """Renders `volume` as `camera` sees it; the same every time.
+
+        Raises:
+            InputError: a ray has seen something that is not finite.
+        """
         pixels = self._pixels(volume, camera)
         out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
         work = Work(rays=self.spp * len(pixels))
         with dr.suspend_grad():
             for number in range(self.spp):
                 out += self._rounds(volume, camera, pixels, number, geometry, work) / self.spp
+        if not np.isfinite(out).all():
+            raise InputError("the field", f"NaN or infinity along {(~np.isfinite(out).all(0)).sum()} rays", "finite densities and colours",
+                             "In half precision hidden values end at 65,504: without `--networks half` they may be larger.")
         # What is only there where something is seen is a mean over that, not over the pixel.
         out[4:] /= np.maximum(out[3], 1e-6)
         image = np.moveaxis(out.reshape(-1, camera.h, camera.w), 0, -1)
