@@ -112,9 +112,6 @@ class ImageRenderer:
         with dr.suspend_grad():
             for number in range(self.spp):
                 out += self._rounds(volume, camera, pixels, number, geometry, work) / self.spp
-        if not np.isfinite(out).all():
-            raise InputError("the field", f"NaN or infinity along {(~np.isfinite(out).all(0)).sum()} rays", "finite densities and colours",
-                             "In half precision hidden values end at 65,504: without `--networks half` they may be larger.")
         # What is only there where something is seen is a mean over that, not over the pixel.
         out[4:] /= np.maximum(out[3], 1e-6)
         image = np.moveaxis(out.reshape(-1, camera.h, camera.w), 0, -1)
@@ -153,6 +150,10 @@ class ImageRenderer:
                     rows += [*seen.u, *seen.normal]
                 dr.eval(rows)
                 values = np.stack([row.numpy()[: len(chosen)] for row in rows])
+                broken = np.count_nonzero(~np.isfinite(values).all(0))
+                if broken:
+                    raise InputError("the field", f"NaN or infinity along {broken} rays", "finite densities and colours",
+                                     "In half precision hidden values end at 65,504: without `--networks half` they may be larger.")
                 values[4:] *= values[3]
                 out[:, chosen] += transmittance[chosen] * values
                 transmittance[chosen] *= 1 - values[3]
