@@ -159,7 +159,7 @@ def weights_of(trainer: Trainer) -> np.ndarray:
 
 
 @case("a NaN in one pixel, one origin or one direction of a training's batch", "each in turn", gradient=None,
-      relative_to="weights are those of a state before, or Adam's moments those of a ray that misses, to the largest")
+      relative_to="the largest of Adam's moments, those of a ray that misses; 0 for weights after a step that is refused")
 def a_nan_in_a_batch() -> Iterator[Measured]:
     """A step whose loss is not a number is refused; a ray that is none sees nothing, and is trained towards what it should have seen."""
     _, missing, refused = _one_step("origin", 1e6)
