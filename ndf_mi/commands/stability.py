@@ -15,7 +15,7 @@ class Stability:
     """Compare what is computed, and its gradients, with float64 at the extremes of every input; print a table of the errors and of what is
     promised of them.
 
-    Exit code 0 where every promise is kept and everything is finite, else 1.
+    Exit code 0 where every promise is kept and everything is finite, else 1. A case that raises is broken; the others go on.
     """
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -31,12 +31,11 @@ class Stability:
     """Name the cases, and try none."""
 
     def run(self) -> int:
-        """Tries the cases one by one, prints their rows as they come, and writes the file."""
+        """Tries the cases one by one, prints a row as each is done, and writes the file."""
         import drjit as dr
         import mitsuba as mi
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-        from rich.table import Table
 
         import ndf_mi
         from ndf_mi.stability import report, suite
@@ -52,21 +51,18 @@ class Stability:
         results = []
         bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(file=sys.stderr), transient=True,
                        disable=not sys.stderr.isatty())
+        console.print(report.line(report.HEADER), soft_wrap=True, markup=False)
         with bar:
             task = bar.add_task("", total=len(chosen))
             for case in chosen:
                 bar.update(task, description=case.name)
-                results.append(case.run())
+                result = case.attempt()
+                results.append(result)
+                console.print(report.line(report.cells(result)), style="" if result.passed else "bold red", soft_wrap=True, markup=False)
+                for line in report.details(result):
+                    console.print(f"  {line}", soft_wrap=True, markup=False)
+                sys.stdout.flush()
                 bar.advance(task)
-        table = Table(box=None, pad_edge=False)
-        for name in report.HEADER:
-            table.add_column(name, justify="right" if name in ("primal", "gradient") else "left", no_wrap=name in ("case", "verdict"))
-        for result in results:
-            table.add_row(*report.cells(result), style="" if result.passed else "bold red")
-        console.print(table)
-        broken = [line for result in results for line in report.details(result)]
-        for line in broken:
-            console.print(line, markup=False)
         failed = [result.case.name for result in results if not result.passed]
         print(f"\n{len(results)} cases, {len(failed)} broken{': ' + ', '.join(failed) if failed else ''}")
         if self.out is not None:

@@ -106,11 +106,15 @@ class BoundField:
     ) -> tuple[mi.Float, mi.Color3f]:
         """The same through cooperative vectors: the only form that may be traced inside a symbolic loop, as in a medium.
 
-        Call :meth:`pack` beforehand, outside of any symbolic code.
+        Call :meth:`pack` beforehand, outside of any symbolic code. Where half precision has overflowed, σ is NaN.
         """
         if self._packed is None:
             raise RuntimeError("BoundField.fused: call pack() first, outside of symbolic code")
-        return self._evaluate(_Fused(self._packed, self._half), u, d, n, active)
+        if not self._half:
+            return self._evaluate(_Fused(self._packed), u, d, n, active)
+        run = _Half(self._packed)
+        sigma, colour = self._evaluate(run, u, d, n, active)
+        return dr.select(run.finite, sigma, dr.nan), colour
 
     @property
     def packed(self) -> bool:
@@ -127,8 +131,8 @@ class BoundField:
         """Lays the weights out for :meth:`fused`; attached, so that gradients reach the field's weights.
 
         Args:
-            half: weights, features and sums of the layers in half precision (11 bits, at most 65,504); encodings, activations of density
-                and colour, and what is returned stay in single.
+            half: weights, features and sums of the layers in half precision (11 bits, 6e-5 to 65,504; from there down to 6e-8 bits are
+                lost one by one); encodings, activations of density and colour, and what is returned stay in single.
         """
         self._packed, self._half = _pack(self._tensors, half), half
 
@@ -181,8 +185,7 @@ class BoundField:
             seen += frequency(list(n), p.normal_octaves)
         h = run.enter(h, seen)
         h = self._chain(run, "colour", len(p.colour_layers), h)
-        c = mi.Color3f(*run.rows(run.linear("colour_out", h)))
-        return sigma, srgb_to_linear(dr.fma(dr.tanh(0.5 * c), 0.5, 0.5))
+        return sigma, self.colour(mi.Color3f(*run.rows(run.linear("colour_out", h))))
 
     def _encode(self, u: list[mi.Float], active: mi.Bool | bool) -> list[mi.Float]:
         if self._encoding is None:
@@ -197,6 +200,11 @@ class BoundField:
         else:
             a = dr.maximum(z, 0)
         return -p.density_limit * expm1(a * (-p.density_gain / p.density_limit))
+
+    @staticmethod
+    def colour(c: mi.Color3f) -> mi.Color3f:
+        """Linear colour of the colour network's output: its logistic is sRGB. In [0, 1] for any c."""
+        return srgb_to_linear(dr.fma(dr.tanh(0.5 * c), 0.5, 0.5))
 
     @staticmethod
     def _chain(run: _Engine, name: str, count: int, h: Any) -> Any:
@@ -283,9 +291,9 @@ class _Batched:
 class _Fused:
     """Cooperative vectors, one a lane."""
 
-    def __init__(self, views: dict[str, tuple[Any, Any]], half: bool = False) -> None:
+    def __init__(self, views: dict[str, tuple[Any, Any]]) -> None:
         self._views = views
-        self._kind = mi.Float16 if half else mi.Float
+        self._kind = mi.Float
 
     def enter(self, *parts: Any) -> Any:
         return nn.CoopVec(*[self._kind(entry) for part in parts for entry in part])
@@ -303,3 +311,22 @@ class _Fused:
     def head(self, x: Any) -> tuple[mi.Float, Any]:
         entries = list(x)
         return mi.Float(entries[0]), nn.CoopVec(*entries[1:])
+
+
+class _Half(_Fused):
+    """The same in half precision.
+
+    Attributes:
+        finite: whether every layer's output has been finite so far: what enters as infinity comes out as that or NaN.
+    """
+
+    def __init__(self, views: dict[str, tuple[Any, Any]]) -> None:
+        super().__init__(views)
+        self._kind = mi.Float16
+        self.finite = mi.Bool(True)
+
+    def linear(self, name: str, x: Any) -> Any:
+        out = super().linear(name, x)
+        for entry in out:
+            self.finite = self.finite & dr.isfinite(mi.Float(entry))
+        return out

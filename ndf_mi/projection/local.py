@@ -19,11 +19,13 @@ class Local:
         barycentric: weights of the three corners, in [0, 1], attached.
         feature: ``FACE`` … ``CORNER_2``, detached.
         offset: x − p, attached, metres.
+        size2: square of the longer edge at the first corner, detached: what rounding of the offset goes by.
     """
 
     barycentric: mi.Point3f
     feature: mi.UInt32
     offset: mi.Vector3f
+    size2: mi.Float
 
 
 def _guarded(value: mi.Float, least: float) -> mi.Float:
@@ -83,7 +85,7 @@ def closest_on_triangle(x: mi.Point3f, v0: mi.Point3f, v1: mi.Point3f, v2: mi.Po
         (CORNER_2, mi.Point3f(0, 0, 1)),
     ):
         weights = dr.select(feature == which, value, weights)
-    return Local(weights, feature, q - e1 * weights.y - e2 * weights.z)
+    return Local(weights, feature, q - e1 * weights.y - e2 * weights.z, dr.detach(dr.maximum(a, c)))
 
 
 def _clipped(along: mi.Float, length2: mi.Float) -> mi.Float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ndf_mi.errors import InputError
 from ndf_mi.projection.cells import Cells
-from ndf_mi.projection.local import CORNER_0, CORNER_1, EDGE_0, EDGE_2, closest_on_triangle, unit
+from ndf_mi.projection.local import CORNER_0, CORNER_1, EDGE_0, EDGE_2, Local, closest_on_triangle, unit
 from ndf_mi.projection.normals import face_normals, vertex_normals
 from ndf_mi.projection.refit import Frame, refit
 from ndf_mi.projection.search import closest_pair
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 SORTED = 16384
 """Number of queries from which sorting them pays."""
 
+_ROUNDING = 1e-6
+"""Distance over the edges' length below which an offset has no direction."""
+
 
 @dataclass
 class Projection:
@@ -30,8 +33,9 @@ class Projection:
 
     Attributes:
         uv: texture coordinates of the closest point, attached.
-        l: signed distance, metres, negative inside. ∂l/∂x is the direction of steepest ascent, also on the surface
-            (there the normal); ∂l/∂vertices that of the closest point's own triangle. First derivatives only.
+        l: signed distance, metres, negative inside. ∂l/∂x is the direction of steepest ascent, also on the surface: there
+            the normal, on edges and corners the pseudonormal or that of a face beside; ∂l/∂vertices that of the closest
+            point's own triangle. First derivatives only.
         triangle: number of the closest triangle; 0 where not valid.
         barycentric: weights of its corners, attached.
         point: the closest point, world, attached.
@@ -109,7 +113,7 @@ class PosedSurface:
         local = closest_on_triangle(x, v0, v1, v2)
         weights = local.barycentric
         with dr.suspend_grad():
-            normal, l_value, slope = self._sign(triangle, corner, dr.detach(local.offset), local.feature, active)
+            normal, l_value, slope = self._sign(triangle, corner, local, active)
         # the closest point minimises over its weights, so that their change adds nothing to l's (envelope theorem)
         fixed = dr.detach(weights)
         towards = (x - v0) * fixed.x + (x - v1) * fixed.y + (x - v2) * fixed.z
@@ -125,12 +129,12 @@ class PosedSurface:
         self,
         triangle: mi.UInt32,
         corner: list[mi.UInt32],
-        offset: mi.Vector3f,
-        feature: mi.UInt32,
+        local: Local,
         active: mi.Bool,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Vector3f]:
         """Pseudonormal, signed distance and its gradient (Bærentzen and Aanæs, "Signed distance computation using the
-        angle weighted pseudonormal", 2005)."""
+        angle weighted pseudonormal", 2005). Closer to an edge or a corner than rounding can tell, the gradient is the pseudonormal."""
+        offset, feature = dr.detach(local.offset), local.feature
         own = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, triangle, active))
         on_edge = (feature >= EDGE_0) & (feature <= EDGE_2)
         on_corner = feature >= CORNER_0
@@ -142,7 +146,9 @@ class PosedSurface:
         normal = dr.select(on_edge, unit(own + other, own), dr.select(on_corner, around, own))
         distance = dr.norm(offset)
         sign = dr.select(dr.dot(offset, normal) < 0, mi.Float(-1), mi.Float(1))
-        slope = dr.select(on_edge | on_corner, unit(offset, sign * normal) * sign, own)
+        # the offset is known to the edges' length times 6e-8; where there is no normal, it is all there is
+        told = (dr.squared_norm(offset) > _ROUNDING**2 * local.size2) | (dr.squared_norm(normal) == 0)
+        slope = dr.select(on_edge | on_corner, dr.select(told, unit(offset, sign * normal) * sign, normal), own)
         return normal, sign * distance, slope
 
     def _closest(self, x: mi.Point3f, active: mi.Bool | bool) -> tuple[mi.UInt32, mi.Bool]:

@@ -102,7 +102,11 @@ class ImageRenderer:
             raise InputError("cutoff", f"{self.cutoff:g}", "a transmittance in [0, 1)")
 
     def __call__(self, volume: VolumeField, camera: RaySource, geometry: bool = False) -> Image:
-        """Renders `volume` as `camera` sees it; the same every time."""
+        """Renders `volume` as `camera` sees it; the same every time.
+
+        Raises:
+            InputError: a ray has seen something that is not finite.
+        """
         pixels = self._pixels(volume, camera)
         out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
         work = Work(rays=self.spp * len(pixels))
@@ -148,6 +152,10 @@ class ImageRenderer:
                     rows += [*seen.u, *seen.normal]
                 dr.eval(rows)
                 values = np.stack([row.numpy()[: len(chosen)] for row in rows])
+                broken = np.count_nonzero(~np.isfinite(values).all(0))
+                if broken:
+                    raise InputError("the field", f"NaN or infinity along {broken} rays", "finite densities and colours",
+                                     "In half precision hidden values end at 65,504: without `--networks half` they may be larger.")
                 values[4:] *= values[3]
                 out[:, chosen] += transmittance[chosen] * values
                 transmittance[chosen] *= 1 - values[3]

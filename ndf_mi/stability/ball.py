@@ -14,6 +14,7 @@ import trimesh
 
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
+from ndf_mi.capture.camera import Camera
 from ndf_mi.field import Preset, preset
 from ndf_mi.run import Run
 
@@ -37,6 +38,16 @@ def charts(count: int) -> tuple[np.ndarray, np.ndarray]:
     offsets = np.array([[0.1, 0.1], [0.8, 0.2], [0.3, 0.9]])
     uv = ((corner[:, None] + offsets) / side).reshape(-1, 2).astype(np.float32)
     return uv, np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+
+
+def looking(origin: np.ndarray, forward: np.ndarray, size: int = 8, focal: float = 1.0) -> Camera:
+    """A camera at a place, whose focal length is `focal` times its images' width."""
+    back = -forward / np.linalg.norm(forward)
+    right = np.cross([0.31, 0.9, 0.2], back)
+    right /= np.linalg.norm(right)
+    transform = np.eye(4)
+    transform[:3] = np.stack([right, np.cross(back, right), back, origin], 1)
+    return Camera("camera", size, size, focal * size, focal * size, size / 2, size / 2, transform)
 
 
 @dataclasses.dataclass

@@ -36,7 +36,7 @@ def turned(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return expm(cross(v)), np.array(derivatives)
 
 
-@case("rotations by axis and angle", "0, 1e-38 to 1e-2, about 0.1, π/2, π ± 1e-6, 2π ± 1e-6", relative_to="1, the columns' length")
+@case("rotations by axis and angle", "0, 1e-38 to 0.1, 1, π/2, π, 2π, and 1e-6 about these two", relative_to="1, the columns' length")
 def rotations() -> Iterator[Measured]:
     """The nine entries and their 27 derivatives, about five axes."""
     vectors = (np.array(ANGLES)[:, None, None] * AXES).astype(np.float32).reshape(-1, 3)
@@ -117,7 +117,7 @@ def _pulled(body: Body, values: list[np.ndarray], index: int, pull: np.ndarray) 
 def skinned_bodies() -> Iterator[Measured]:
     """Eight joints one after the other, each turned about another axis."""
     rng = np.random.default_rng(6)
-    tries = [(angle, 1.0, 0.0) for angle in ANGLES[::3]] + [(0.7, 10.0**k, away) for k in (-3, 0, 3) for away in (0.0, 1e3, 1e6)]
+    tries = [(angle, 1.0, 0.0) for angle in ANGLES] + [(0.7, 10.0**k, away) for k in (-3, 0, 3) for away in (0.0, 1e3, 1e6)]
     for angle, size, away in tries:
         body = chain(size)
         axes = rng.normal(size=(8, 3))

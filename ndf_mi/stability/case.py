@@ -56,8 +56,18 @@ class Case:
     long: bool = False
 
     def run(self) -> Result:
-        """Tries the case."""
+        """Tries the case; what it raises comes out."""
         return Result(self, tuple(self.measure()))
+
+    def attempt(self) -> Result:
+        """As :meth:`run`, but what it raises is a point of the range at which nothing is right."""
+        rows = []
+        try:
+            for row in self.measure():
+                rows.append(row)
+        except Exception as error:
+            rows.append(Measured(f"raised {error!r}", math.inf, None if self.gradient is None else math.inf))
+        return Result(self, tuple(rows))
 
 
 @dataclass(frozen=True)

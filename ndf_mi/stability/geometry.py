@@ -11,7 +11,7 @@ from ndf_mi.stability.ball import icosphere
 from ndf_mi.stability.case import Measured, case
 from ndf_mi.stability.projections import Shape, judge
 
-LENGTHS = "lengths to the longest edge and the distance, directions to 1 and that ratio"
+LENGTHS = "lengths to the longest edge and the distance; directions to 1 on faces, else to that ratio; texels to the largest"
 
 
 def ball() -> Shape:
@@ -56,8 +56,14 @@ def on_the_surface() -> Iterator[Measured]:
 
 @case("points on vertices and edges, and straight off them", "0 and ±1e-7 to ±0.1 m", relative_to=LENGTHS)
 def on_edges_and_vertices() -> Iterator[Measured]:
-    """All vertices and the middles of all edges of a ball, where several triangles are equally close."""
-    shape = ball()
+    """All vertices and the middles of all edges of a ball and of a box, where several triangles are equally close, each with a chart of its
+    own: the texel is that of the chart found. The box's are on its edges exactly, as numbers go."""
+    for distance in (0.0, *(sign * 10.0**decade for decade in range(-7, 0) for sign in (1, -1))):
+        found = [_borders(shape, distance) for shape in (ball(), box((0.5, 0.25, 1.0)))]
+        yield Measured(f"{distance:g} m", max(r.primal for r in found), max(r.gradient or 0 for r in found))
+
+
+def _borders(shape: Shape, distance: float) -> Measured:
     vertices = shape.vertices.astype(np.float64)
     edges = np.unique(np.sort(shape.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), 1), axis=0)
     normal = normals(shape)
@@ -66,11 +72,9 @@ def on_edges_and_vertices() -> Iterator[Measured]:
     away = np.concatenate([around, around[edges].sum(1)])
     away /= np.linalg.norm(away, axis=1, keepdims=True)
     places = np.concatenate([vertices, vertices[edges].mean(1)])
-    for distance in (0.0, *(sign * 10.0**decade for decade in range(-7, 0) for sign in (1, -1))):
-        points = places + distance * away
-        # Of what is closer than rounding, float32 has lost the side.
-        sign = np.full(len(points), 0 if abs(distance) < 1e-6 else np.sign(distance))
-        yield judge(f"{distance:g} m", shape, points, 0.2, sign, smooth=False)
+    # Of what is closer than rounding, float32 has lost the side.
+    sign = np.full(len(places), 0 if abs(distance) < 1e-6 else np.sign(distance))
+    return judge("", shape, places + distance * away, 0.2, sign, smooth=False)
 
 
 @case("points around a mesh: texels and their derivatives too", "0 to 0.25 m",

@@ -39,8 +39,9 @@ def metrics_of_plain_images() -> Iterator[Measured]:
             # No closed form, but bounds: 0 for equal images, else up to 1, and the same everywhere in plain ones.
             spread = float(flip.max() - flip.min())
             worst = max(worst, 0.0 if off == 0 and flip.max() == 0 or 0 <= flip.min() <= flip.max() <= 1 else math.inf, spread)
-            change = temporal_psnr((plain(0), plain(a)), (plain(0), plain(b)), np.ones((SIZE, SIZE), bool))
-            worst = max(worst, 0.0 if change == found else abs(change - found))
+            change = temporal_psnr((plain(0.25), plain(a)), (plain(0.5), plain(b)), np.ones((SIZE, SIZE), bool))
+            off = abs((exact_b - 0.5) - (exact_a - 0.25))
+            worst = max(worst, error(change, -20 * math.log10(off), 10.0) if off else 0.0 if change == math.inf else math.inf)
             yield Measured(f"{first:g}, {difference:g} apart", worst)
 
 

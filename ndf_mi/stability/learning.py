@@ -25,8 +25,7 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RayBatch
 from ndf_mi.learn.trainer import Trainer
 from ndf_mi.render.quadrature import Radiance
-from ndf_mi.stability.ball import RADIUS, charts, icosphere
-from ndf_mi.stability.cameras import looking
+from ndf_mi.stability.ball import RADIUS, charts, icosphere, looking
 from ndf_mi.stability.case import Measured, case, error
 from ndf_mi.stability.network64 import decode, encode
 
@@ -70,7 +69,8 @@ def radiance(colour: np.ndarray, opacity: np.ndarray) -> Radiance:
 
 
 @case("image losses of all black, all white and bright images, opacity and mask included",
-      "linear values of 0, 1e-38 to 1e3; opacities 0, 1e-7, 1", relative_to="the value; gradients to the largest of a batch")
+      "linear values of 0, 1e-38 to 1e3; opacities 0, 1e-7, 1",
+      relative_to="the value; gradients to the largest terms of a batch: colour and target, opacity and mask")
 def losses() -> Iterator[Measured]:
     """The loss in sRGB over a background, and its derivatives in colour and opacity, written out."""
     options = dataclasses.replace(OPTIONS, edge_weight=0.0)
@@ -94,9 +94,12 @@ def losses() -> Iterator[Measured]:
             by_colour = 2 * off * rise / 27
             by_opacity = -(by_colour * back).sum(1) + 2 * options.opacity_weight * (o[:, 0] - mask) / 9
             truth = (off**2).mean() + options.opacity_weight * ((o[:, 0] - mask) ** 2).mean()
+            # What their differences are made of: a colour less its target, an opacity less its mask.
+            terms = 2 * (np.abs(srgb) + target) * rise / 27
+            opacity_terms = (terms * back).sum(1) + 2 * options.opacity_weight * (o[:, 0] + mask) / 9
             yield Measured(f"{value:g} at opacity {opaque:g}, target {target:g}", error(float(total[0]), truth), max(
-                error(dr.grad(seen.colour).numpy().T, by_colour, np.abs(by_colour).max() + 1e-3),
-                error(dr.grad(seen.opacity).numpy(), by_opacity, np.abs(by_opacity).max() + 1e-3)))
+                error(dr.grad(seen.colour).numpy().T, by_colour, terms.max()),
+                error(dr.grad(seen.opacity).numpy(), by_opacity, opacity_terms.max())))
 
 
 @case("the loss of noisy estimates: of black, white and bright pixels", "linear values of 0, 1e-38 to 1e3",
@@ -155,28 +158,42 @@ def weights_of(trainer: Trainer) -> np.ndarray:
     return trainer.run.model.field.weights.numpy()
 
 
-@case("a NaN in one pixel, one origin or one direction of a training's batch", "each in turn", primal=0.0, gradient=None,
-      relative_to="weights are those of a state before")
+@case("a NaN in one pixel, one origin or one direction of a training's batch", "each in turn", gradient=None,
+      relative_to="the largest of Adam's moments, those of a ray that misses; 0 for weights after a step that is refused")
 def a_nan_in_a_batch() -> Iterator[Measured]:
     """A step whose loss is not a number is refused; a ray that is none sees nothing, and is trained towards what it should have seen."""
+    _, missing, refused = _one_step("origin", 1e6)
+    if refused:
+        raise RuntimeError("a ray that misses was refused")
     for part in ("target", "origin", "direction", "mask"):
-        with training(OPTIONS) as trainer:
-            draw = trainer._rays
+        weights, moments, refused = _one_step(part, np.nan)
+        if part in ("target", "mask"):
+            yield Measured(part, error(weights[1], weights[0], 0.0) if refused == 1 else np.inf)
+        else:
+            yield Measured(part, error(moments, missing, np.abs(missing).max())
+                           if np.isfinite(weights[1]).all() and not refused else np.inf)
 
-            def broken(rng: np.random.Generator, draw: object = draw, part: str = part) -> RayBatch:
-                batch = draw(rng)  # type: ignore[operator]
-                values = getattr(batch, part).copy()
-                values[..., 5] = np.nan
-                return dataclasses.replace(batch, **{part: values})
 
-            before = weights_of(trainer)
-            trainer._rays = broken  # type: ignore[assignment]
-            trainer.step()
-            after = weights_of(trainer)
-            if part in ("target", "mask"):
-                yield Measured(part, error(after, before) if trainer.progress.refused == 1 else np.inf)
-            else:
-                yield Measured(part, 0.0 if np.isfinite(after).all() and not trainer.progress.refused else np.inf)
+def _one_step(part: str, value: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, int]:
+    """Weights before and after a step in whose batch a ray has that value in a part, Adam's first moments, and how many steps were
+    refused."""
+    with training(OPTIONS) as trainer:
+        draw = trainer._rays
+
+        def broken(rng: np.random.Generator) -> RayBatch:
+            batch = draw(rng)
+            values = getattr(batch, part).copy()
+            values[..., 5] = value
+            return dataclasses.replace(batch, **{part: values})
+
+        before = weights_of(trainer)
+        trainer._rays = broken  # type: ignore[assignment]
+        trainer.step()
+        after = weights_of(trainer)
+        # A refused step leaves no moments.
+        kept = not trainer.progress.refused
+        moments = trainer._networks.state["weights"][3][1].numpy().astype(np.float64) if kept else np.zeros(0)
+        return (before, after), moments, trainer.progress.refused
 
 
 @case("training on images all black and all white, and on masks of one pixel", "three steps each", primal=0.0, gradient=None,

@@ -45,6 +45,12 @@ def cells(result: Result) -> tuple[str, ...]:
             "kept" if result.passed else "BROKEN")
 
 
+def line(row: Sequence[str]) -> str:
+    """A case's row, or :data:`HEADER`, for the terminal: what it is of and over is in the files."""
+    name, _, _, primal, gradient, promised, verdict = row
+    return f"{name:<28} {primal:>10} {gradient:>10}  {verdict:<7} {promised}"
+
+
 def details(result: Result) -> list[str]:
     """A sentence for each point of a case's range at which the promise is broken."""
     return [f"{result.case.name}: at {row.at}: primal {number(row.primal)}, gradient {number(row.gradient)}" for row in result.failures]

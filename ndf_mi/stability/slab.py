@@ -21,19 +21,17 @@ class Slab:
         sigma: (N, S) densities in 1/m, stratum by stratum along z, of the N unit columns along x.
         colour: (N, S) grey values.
         length: along z, in metres.
-        holes: (N, S) bool, strata that are outside the field; none by default.
     """
 
     strata = 1
 
-    def __init__(self, sigma: np.ndarray, colour: np.ndarray | None = None, length: float = 1.0, holes: np.ndarray | None = None) -> None:
+    def __init__(self, sigma: np.ndarray, colour: np.ndarray | None = None, length: float = 1.0) -> None:
         self._columns, self._depth = sigma.shape
         self._per_metre = self._depth / length
         self.bbox = mi.BoundingBox3f(mi.Point3f(0, 0, 0), mi.Point3f(float(self._columns), 1, length))
         self.sigma = mi.Float(np.ascontiguousarray(sigma, np.float32).ravel())
         colours = np.full(sigma.shape, GREY) if colour is None else colour
         self.colour = mi.Float(np.ascontiguousarray(colours, np.float32).ravel())
-        self._holes = mi.Bool(np.ascontiguousarray(np.zeros(sigma.shape, bool) if holes is None else holes).ravel())
         self.length = length
 
     def rays(self) -> mi.Ray3f:
@@ -50,8 +48,7 @@ class Slab:
     def locate(self, x: mi.Point3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
         """The table's row of each point."""
         column = mi.UInt32(dr.clip(x.x, 0, self._columns - 1))
-        handle = column * self._depth + mi.UInt32(dr.clip(x.z * self._per_metre, 0, self._depth - 1))
-        return handle, active & ~dr.gather(mi.Bool, self._holes, handle, active)
+        return column * self._depth + mi.UInt32(dr.clip(x.z * self._per_metre, 0, self._depth - 1)), active
 
     def density(self, x: mi.Point3f, handle: Any, active: mi.Bool) -> mi.Float:
         """Density alone, detached."""

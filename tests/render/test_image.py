@@ -118,3 +118,9 @@ def test_work_counts_what_was_asked_for():
 def test_what_cannot_be_rendered_with_is_refused(change):
     with pytest.raises(InputError):
         ImageRenderer(**change)
+
+
+@pytest.mark.parametrize("sigma", [np.nan, -np.inf])
+def test_what_is_not_finite_is_refused(sigma):
+    with pytest.raises(InputError, match="NaN or infinity along .* rays(.|\n)*--networks half"):
+        ImageRenderer(16)(Ball(sigma), Parallel())

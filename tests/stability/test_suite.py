@@ -78,6 +78,36 @@ def test_command(tmp_path, monkeypatch, capsys):
     assert "made-up: at here" in capsys.readouterr().out and "BROKEN" in (tmp_path / "t.md").read_text()
 
 
+def test_a_case_that_raises_is_broken_and_the_others_go_on(tmp_path, monkeypatch, capsys):
+    def raises():
+        yield Measured("first", 1e-7)
+        raise RuntimeError("no kernel")
+
+    bad = Case("bad", "tests", "a", "1", 1e-5, None, "", raises)
+    monkeypatch.setattr(suite, "cases", lambda names: [bad, case(Measured("here", 1e-7, 0.0))])
+    assert commands.main(["stability", "-o", str(tmp_path / "t.json")]) == 1
+    out = capsys.readouterr().out
+    assert "bad: at raised RuntimeError('no kernel'): primal not finite" in out and "2 cases, 1 broken: bad" in out
+    first, second = json.loads((tmp_path / "t.json").read_text())["cases"]
+    assert [row["at"] for row in first["measured"]] == ["first", "raised RuntimeError('no kernel')"] and first["primal"] == "inf"
+    assert second["passed"] is True
+    with pytest.raises(RuntimeError, match="no kernel"):
+        bad.run()
+
+
+def test_rows_are_printed_as_they_come(monkeypatch, capsys):
+    seen = []
+
+    def late():
+        seen.append(capsys.readouterr().out)
+        yield Measured("here", 0.0)
+
+    cases = [case(Measured("here", 1e-7, 0.0)), Case("late", "tests", "a", "1", 1e-5, None, "", late)]
+    monkeypatch.setattr(suite, "cases", lambda names: cases)
+    assert commands.main(["stability"]) == 0
+    assert "made-up" in seen[0] and "kept" in seen[0] and "late" not in seen[0]
+
+
 @pytest.mark.parametrize("arguments", [["--only", "no-such"], ["-o", "table.csv"]])
 def test_mistakes_are_named(arguments, capsys):
     assert commands.main(["stability", *arguments]) == 2
