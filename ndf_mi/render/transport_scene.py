@@ -37,6 +37,13 @@ def performers(scene: mi.Scene, who: str) -> list[Performer]:
     return [Performer(field.posed(), float(field.scale)) for field in found.values()]
 
 
+def lets_light_in(bsdf: mi.BSDF) -> bool:
+    """Whether light can get through a surface, straight on, refracted or scattered."""
+    flags = int(bsdf.flags())
+    through = (mi.BSDFFlags.Null, mi.BSDFFlags.DeltaTransmission, mi.BSDFFlags.GlossyTransmission, mi.BSDFFlags.DiffuseTransmission)
+    return any(flags & int(flag) for flag in through)
+
+
 def _field(medium: Any, where: str) -> Any:
     """The ``ndf`` medium that a medium is, or is part of."""
     field = getattr(medium, "field", medium)
@@ -47,9 +54,7 @@ def _field(medium: Any, where: str) -> Any:
 
 
 def _check_bsdf(shape: mi.Shape, who: str) -> None:
-    flags = int(shape.bsdf().flags())
-    through = (mi.BSDFFlags.Null, mi.BSDFFlags.DeltaTransmission, mi.BSDFFlags.GlossyTransmission, mi.BSDFFlags.DiffuseTransmission)
-    if not any(flags & int(flag) for flag in through):
+    if not lets_light_in(shape.bsdf()):
         raise InputError(f"{who}: {_name(shape)}", f"the BSDF {shape.bsdf().class_name()} around an `ndf` medium",
                          'one that lets light in: `<bsdf type="null"/>`')
 

@@ -318,6 +318,43 @@ def test_what_a_scene_gets_wrong_is_told(make_run):
     only(scene_of({"flat": {"type": "rectangle", "bsdf": null, "interior": medium}}), "encloses nothing")
     only(scene_of({"performer": performer(run)}, camera=sensor((0, 0, 0.33))), "sensor 0 is inside", "'performer'", "<ref")
     only(scene_of({"performer": performer(run)}, "prbvolpath", camera=sensor((0, 0, 0.33))), "begins outside of media")
+    only(scene_of({"mine": {"type": "ndf_shell", "run": str(run.path)}}), "'mine'", "neither a surface", "`ndf` medium")
+    assert faults(scene_of({"glass": {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}, "interior": medium}})) == []
+
+
+def test_integrators_within_others_are_looked_at(make_run):
+    shape = {"performer": performer(make_ridge(make_run)[0])}
+
+    def told(inner, outer="aov", **more):
+        return faults(mi.load_dict({"type": "scene", "integrator": {"type": outer, "inner": {"type": inner}, **more}, **shape}))
+
+    for inner in ("path", "volprim_rf_basic"):
+        (text,) = told(inner, aovs="d:depth")
+        assert "knows no media" in text
+    assert len(told("direct", "moment")) == 1
+    for inner in ("volpath", "ndf_path", "ndf_quadrature"):
+        assert told(inner, aovs="d:depth") == told(inner, "moment") == []
+
+
+@pytest.mark.parametrize("integrator", ["ndf_path", "ndf_quadrature"])
+def test_what_the_packages_integrators_can_show_is_no_fault(make_run, integrator):
+    """A camera in the band, a carrier smaller than it, one that is open or refracts."""
+    medium = {"type": "ndf", "run": str(make_ridge(make_run)[0].path)}
+    for shape in ({"type": "sphere", "radius": 0.31, "bsdf": {"type": "null"}}, {"type": "rectangle", "bsdf": {"type": "null"}},
+                  {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}}):
+        assert faults(scene_of({"carrier": {**shape, "interior": medium}}, integrator, camera=sensor((0, 0, 0.33)))) == []
+
+
+def test_performers_that_meet_are_told(make_run):
+    run, _ = make_ridge(make_run)
+
+    def told(*offset, integrator="volpath"):
+        return faults(scene_of({"one": performer(run), "other": performer(run, offset=list(offset))}, integrator))
+
+    (text,) = told(0.7, 0.0, 0.0)
+    assert "'one'" in text and "'other'" in text and "meet" in text
+    # Their boxes overlap, they do not; and what absorbs and emits may overlap.
+    assert told(0.65, 0.65, 0.0) == told(1.0, 0.0, 0.0) == told(0.7, 0.0, 0.0, integrator="ndf_path") == []
 
 
 def test_open_mesh_is_told(make_run, tmp_path):
