@@ -13,6 +13,7 @@ import numpy as np
 
 from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel
+from ndf_mi.render import colours
 from ndf_mi.render.nested import Majorants
 from ndf_mi.run import Run
 
@@ -201,6 +202,8 @@ def register() -> None:
             return self._model.bbox.ray_intersect(ray)
 
         def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
+            # Asked for by integrators that scatter, and by no other.
+            colours.tell(self.run, scattering=True)
             return mi.UnpolarizedSpectrum(self.majorant)
 
         def get_scattering_coefficients(
@@ -252,6 +255,7 @@ def register() -> None:
             return self.field.intersect_aabb(ray)
 
         def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
+            colours.tell(self.field.run, scattering=True)
             return mi.UnpolarizedSpectrum(self.majorant)
 
         def get_scattering_coefficients(

@@ -100,6 +100,7 @@ class Render:
     def _run(self) -> None:
         from ndf_mi.capture.capture import Capture
         from ndf_mi.capture.viewpoint import framing
+        from ndf_mi.render.colours import mistaken
         from ndf_mi.render.output import write_exr, write_png
         from ndf_mi.run import Run
 
@@ -107,6 +108,8 @@ class Render:
             raise InputError("--define", "it together with a run", "it only with a scene")
         budget, error = self._wish()
         run = Run.load(self.source)
+        if (text := mistaken(run, scattering=False)) is not None:
+            print(f"ndf-mi: warning: {run.path}: {text}.", file=sys.stderr, flush=True)
         frame = int(run.poses.frames[0]) if self.frame is None else self.frame
         row = run.poses.index(frame)
         if self.capture is not None:

@@ -19,9 +19,8 @@ from ndf_mi.learn.trainer import Step, Trainer
 from ndf_mi.model import PosedModel
 from ndf_mi.render.lights import lights
 from ndf_mi.render.replay import Replay, repeated
-from ndf_mi.run import Run
+from ndf_mi.run import QUADRATURE, Run
 
-QUADRATURE = "ndf_quadrature"
 SCATTERING = ("prbvolpath",)
 """Mitsuba's integrators that differentiate scattering media."""
 

@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 
 from ndf_mi.errors import InputError
+from ndf_mi.render.colours import tell
 from ndf_mi.render.transport import Performer
 
 
@@ -34,6 +35,8 @@ def performers(scene: mi.Scene, who: str) -> list[Performer]:
     for sensor in scene.sensors():
         if sensor.get_medium() is not None:
             _field(sensor.get_medium(), f"{who}: the sensor's medium")
+    for field in found.values():
+        tell(field.run, scattering=False)
     return [Performer(field.posed(), float(field.scale)) for field in found.values()]
 
 

@@ -54,6 +54,15 @@ def test_a_picture_without_the_performer_is_told_of(make_constant_run, tmp_path,
     assert imread(out).shape == (8, 8, 3)
 
 
+def test_albedos_shown_as_light_are_told_of(make_constant_run, tmp_path, capsys):
+    run = make_constant_run(20.0)
+    for training, told in ((None, 0), ({"integrator": "ndf_quadrature"}, 0), ({"integrator": "prbvolpath", "warm_up": 5}, 1)):
+        run.config["training"] = training
+        run.save()
+        assert main(["render", str(run.path), "-o", str(tmp_path / "d.png"), "--size", "8", "8"]) == 0
+        assert capsys.readouterr().err.count("as if they were light") == told
+
+
 @pytest.mark.parametrize(("arguments", "words"), [
     (["nowhere", "-o", "x.png"], "no such file"),
     (["RUN", "-o", "x.jpg"], ".exr or .png"),
