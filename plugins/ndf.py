@@ -112,7 +112,7 @@ def register() -> None:
             self.run = Run.load(find_run(props["run"]))
             self.frame = frame_of(self.run, props)
             self.scale = float(props.get("scale", 1.0))
-            if not self.scale > 0:
+            if not 0 < self.scale < float("inf"):
                 raise InputError("ndf: scale", repr(self.scale), "a number above 0")
             field = self.run.model.field
             self.weights = mi.Float(field.weights)

@@ -262,6 +262,8 @@ def test_scenes_load_and_render(make_run, name, change):
     ({"frame": 77}, ["frame", "77", "0-2"]),
     ({"run": "nowhere"}, ["nowhere", "config.json"]),
     ({"scale": -1.0}, ["scale", "-1"]),
+    ({"scale": float("inf")}, ["scale", "inf"]),
+    ({"scale": float("nan")}, ["scale", "nan"]),
     ({"colour": 1.0}, ["colour"]),
 ])
 def test_wrong_parameters_of_the_medium_are_named(make_run, change, words):

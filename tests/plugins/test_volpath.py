@@ -253,6 +253,8 @@ def test_a_density_above_its_majorant_is_told_with_place_and_remedy(make_run, ca
     ({"frame": 2}, ["interior", "frame 0", "frame 2"]),
     ({"interior": {"type": "homogeneous"}}, ["run", "nothing"]),
     ({"to_world": mi.ScalarTransform4f().scale(2)}, ["to_world", "offset"]),
+    ({"flip_normals": True}, ["flip_normals", "outward"]),
+    ({"flip_normals": True, "layers": 0}, ["flip_normals", "outward"]),
     ({"offset": [1, 0, 0]}, ["interior", "offset", "1.0"]),
 ])
 def test_wrong_parameters_of_the_shell_are_named(make_run, change, words):
