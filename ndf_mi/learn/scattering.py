@@ -83,10 +83,13 @@ class ScatteringTrainer(Trainer):
         return self._step >= self.options.warm_up
 
     def step(self) -> None:
-        """As the base class; the first step through scattering begins with fresh moments, and rates as at the start."""
+        """As the base class; the first step through scattering begins with fresh moments and, unless `seconds` or `decay_steps` rule the
+        decay, with rates as at the start; but for what refused steps have left of them."""
         if self._step == self.options.warm_up and self._stage is None and self._step > 0:
             self.publish()
+            before = self._guard
             self._make_optimisers()
+            self._guard.follow(before)
             self._error = float("nan")
         super().step()
 
@@ -115,7 +118,8 @@ class ScatteringTrainer(Trainer):
         return self._stage, self._replay
 
     def _spent(self) -> float:
-        """The rates decay over the steps by quadrature, and again over those through scattering."""
+        """The rates decay over the steps by quadrature, and again over those through scattering; once over all of them where `seconds` or
+        `decay_steps` rule the decay."""
         warm = self.options.warm_up
         if self.options.seconds > 0 or self.options.decay_steps:
             return super()._spent()

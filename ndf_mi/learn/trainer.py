@@ -174,6 +174,7 @@ class Trainer:
             "seconds": self._seconds,
             "error": None if math.isnan(self._error) else self._error,
             "rate_factor": self._guard.factor,
+            "refused": self._guard.refused,
             "random": self._rng.bit_generator.state,
         }
         write_state(self.run.path / STATE, tensors, facts)
@@ -195,8 +196,9 @@ class Trainer:
             self._rng.bit_generator.state = facts["random"]
             self._step, self._seconds = int(facts["step"]), float(facts["seconds"])
             self._error = float("nan") if facts["error"] is None else float(facts["error"])
-            # States written before rates could be made smaller lack it.
+            # States written before rates could be made smaller, or before refused steps were counted, lack them.
             self._guard.factor = float(facts.get("rate_factor", 1.0))
+            self._guard.refused = int(facts.get("refused", 0))
             self._guard.keep()
             if self._occupancy is not None:
                 self._occupancy.restore(tensors["occupancy"], self._step)
