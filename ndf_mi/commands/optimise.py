@@ -75,7 +75,8 @@ class Optimise:
             base = chosen or preset_of(self.preset)
             changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
             if changed:
-                print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours hold no light, paths stay short")
+                print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours hold no light, densities are "
+                      "above 0, paths stay short")
             trainer = start(self.out, capture, preset, training, plan)
         try:
             train(trainer)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -46,11 +47,14 @@ def check_integrator(name: str) -> None:
 def relightable(preset: Preset) -> tuple[Preset, list[str]]:
     """A preset for training through scattering, and what has been changed in it, as NAME=VALUE.
 
-    The colours of such a field are its own: inputs that say where light comes from, or where the viewer is, are left out.
+    The colours of such a field are its own: inputs that say where light comes from, or where the viewer is, are left out. Its density is
+    above 0 wherever the networks decide: gradients through scattering are biased where it is 0.
     """
-    changes = {"direction_octaves": -1, "normal_octaves": -1, "density_limit": min(preset.density_limit, DENSITY_LIMIT)}
-    changed = [f"{key}={value:g}" for key, value in changes.items() if getattr(preset, key) != value]
-    return dataclasses.replace(preset, **changes), changed  # type: ignore[arg-type]
+    changes: dict[str, Any] = {"direction_octaves": -1, "normal_octaves": -1, "density_limit": min(preset.density_limit, DENSITY_LIMIT),
+                               "density_activation": "softplus"}
+    changed = [f"{key}={value if isinstance(value, str) else format(value, 'g')}"
+               for key, value in changes.items() if getattr(preset, key) != value]
+    return dataclasses.replace(preset, **changes), changed
 
 
 class ScatteringTrainer(Trainer):
@@ -61,7 +65,8 @@ class ScatteringTrainer(Trainer):
     between nodes. Opacity against the masks and the band's edge are seen to by quadrature along the same rays.
 
     Raises:
-        InputError: the light of the capture is not known or its scene is of no use; the preset lets light or viewer into the colours.
+        InputError: the light of the capture is not known or its scene is of no use; the preset lets light or viewer into the colours, or
+            densities be 0; a camera is inside the performer's band.
     """
 
     def __init__(self, run: Run, capture: Capture, options: TrainingOptions) -> None:
@@ -70,6 +75,9 @@ class ScatteringTrainer(Trainer):
             if getattr(preset, key) >= 0:
                 raise InputError(f"preset option {key}", str(getattr(preset, key)), f"-1 with --integrator {options.integrator}",
                                  "Colours that depend on it hold the light of the capture, and cannot be shown under another.")
+        if preset.density_activation == "relu":
+            raise InputError("preset option density_activation", "relu", f"softplus with --integrator {options.integrator}",
+                             "Gradients through scattering are biased where the density is 0, and it would stay 0 there.")
         self._lights = lights(capture.known_lighting())
         super().__init__(run, capture, options)
         self._frames = capture.splits["train"].frames
