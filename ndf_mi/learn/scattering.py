@@ -15,7 +15,7 @@ from ndf_mi.field import Preset
 from ndf_mi.learn.loss import NoisyLoss
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RayBatch
-from ndf_mi.learn.stage import Stage
+from ndf_mi.learn.stage import Stage, expect_outside
 from ndf_mi.learn.trainer import Step, Trainer
 from ndf_mi.model import PosedModel
 from ndf_mi.render.lights import lights
@@ -80,7 +80,11 @@ class ScatteringTrainer(Trainer):
                              "Gradients through scattering are biased where the density is 0, and it would stay 0 there.")
         self._lights = lights(capture.known_lighting())
         super().__init__(run, capture, options)
-        self._frames = capture.splits["train"].frames
+        train = capture.splits["train"]
+        self._frames = train.frames
+        for name in train.cameras:
+            for frame in train.frames:
+                expect_outside(run, capture.cameras[name], frame, options.cell)
         self._behind = srgb_to_linear(mi.Color3f(*[float(v) for v in run.background]))
         self._noisy = NoisyLoss(options.paths)
         self._stage: Stage | None = None
