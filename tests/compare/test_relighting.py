@@ -1,6 +1,7 @@
 """Relighting as a whole on small captures, the diffuse mesh on its own, and what is refused."""
 
 import json
+import shutil
 
 import mitsuba as mi
 import numpy as np
@@ -72,11 +73,17 @@ def test_it_measures_both_under_both_lights_and_keeps_what_is_there(captures, tr
 def test_captures_that_do_not_belong_are_refused(captures, trained, make_run, tmp_path, capsys):
     day, night = captures
     out = tmp_path / "out"
+    # One that ended before scattering began.
+    early = shutil.copytree(trained, tmp_path / "early")
+    config = json.loads((early / "config.json").read_text())
+    config["trained"]["steps"] = 2
+    (early / "config.json").write_text(json.dumps(config))
     for arguments, words in (
         ((trained, night, day), ["the one that"]),
         ((trained, day, day), ["in another light"]),
         ((make_run("other").path, day, night), ["training.integrator", "prbvolpath"]),
         ((tmp_path / "nothing", day, night), ["config.json"]),
+        ((early, day, night), ["trained.steps", "more than the 2 steps by quadrature", "warm_up"]),
     ):
         assert call(*arguments, out) == 2
         said = capsys.readouterr().err
