@@ -11,7 +11,7 @@ import json
 import os
 from collections import OrderedDict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import mitsuba as mi
 import numpy as np
@@ -28,6 +28,8 @@ from ndf_mi.projection import PosedSurface
 
 FORMAT = "ndf-run"
 VERSION = 1
+QUADRATURE = "ndf_quadrature"
+"""The integrator that fields are trained by where nothing else is said."""
 _CACHED_POSES = 128
 
 
@@ -54,6 +56,24 @@ class Run:
     def background(self) -> np.ndarray:
         """(3,) float32 sRGB of what lies behind the performer."""
         return np.asarray(self.config["background"], dtype=np.float32)
+
+    @property
+    def scattered(self) -> bool:
+        """Whether it has been trained through scattering, and longer than the steps by quadrature that come first: by what the
+        configuration says, which is complete once a training has ended or was interrupted."""
+        training = self.config.get("training")
+        if not isinstance(training, dict) or training.get("integrator", QUADRATURE) == QUADRATURE:
+            return False
+        trained = self.config.get("trained")
+        steps = trained.get("steps") if isinstance(trained, dict) else None
+        return not isinstance(steps, int) or steps > training.get("warm_up", 0)
+
+    @property
+    def colours(self) -> Literal["light", "albedo"] | None:
+        """What the field's colours are: the light that was seen in its capture, or albedos; None where nothing says how it was trained."""
+        if not isinstance(self.config.get("training"), dict):
+            return None
+        return "albedo" if self.scattered else "light"
 
     @classmethod
     def create(cls, path: str | os.PathLike[str], preset: Preset, body: Body, poses: Poses, seed: int, **config: Any) -> Run:

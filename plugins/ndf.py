@@ -13,6 +13,7 @@ import numpy as np
 
 from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel
+from ndf_mi.render import colours
 from ndf_mi.render.blocks import Blocks
 from ndf_mi.render.nested import Majorants
 from ndf_mi.run import Run
@@ -119,7 +120,7 @@ def register() -> None:
             self.run = Run.load(find_run(props["run"]))
             self.frame = frame_of(self.run, props)
             self.scale = float(props.get("scale", 1.0))
-            if not self.scale > 0:
+            if not 0 < self.scale < float("inf"):
                 raise InputError("ndf: scale", repr(self.scale), "a number above 0")
             self.lattice = float(props.get("lattice", 0.0))
             if not 0 <= self.lattice < float("inf"):
@@ -231,6 +232,8 @@ def register() -> None:
             return self._model.bbox.ray_intersect(ray)
 
         def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
+            # Asked for by integrators that scatter, and by no other.
+            colours.tell(self.run, scattering=True)
             return mi.UnpolarizedSpectrum(self.majorant)
 
         def get_scattering_coefficients(
@@ -283,6 +286,7 @@ def register() -> None:
             return self.field.intersect_aabb(ray)
 
         def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
+            colours.tell(self.field.run, scattering=True)
             return mi.UnpolarizedSpectrum(self.majorant)
 
         def get_scattering_coefficients(

@@ -10,6 +10,7 @@ import mitsuba as mi
 from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel
 from ndf_mi.render import properties
+from ndf_mi.render.colours import tell
 from ndf_mi.render.quadrature import Radiance, quadrature
 
 RAYS_AT_ONCE = 1 << 15
@@ -134,7 +135,9 @@ def _performer(scene: mi.Scene) -> tuple[PosedModel, float]:
             found.append(medium)
     if len(found) != 1:
         raise InputError("ndf_quadrature", f"{len(found)} `ndf` media in the scene", "exactly one, as the interior of a shape")
-    return found[0].posed(), float(getattr(found[0], "field", found[0]).scale)
+    field = getattr(found[0], "field", found[0])
+    tell(field.run, scattering=False)
+    return field.posed(), float(field.scale)
 
 
 def _concat(parts: list[mi.Float]) -> mi.Float:

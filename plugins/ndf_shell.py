@@ -47,7 +47,8 @@ def make_shell(props: mi.Properties) -> mi.Object:
        - The ``ndf`` medium, and what is around it, if anything.
 
     - Contains every point of the band; where the body is thick enough, its inside deeper than ``band_inside`` is left out.
-    - The mesh is where the performer is: it takes no ``to_world``. What moves it is the ``offset`` of the medium.
+    - The mesh is where the performer is, and faces outward: it takes no ``to_world`` and no ``flip_normals``. What moves it is the
+      ``offset`` of the medium.
     - With ``layers``, the majorants are estimated from samples of the density; a check at other points raises those that it finds
       exceeded, and says so. They are estimated anew when the medium's parameters change, unless gradients of these are enabled.
       The first shape keeps the plugin's id, the others have ``_1``, ``_2`` … added; the parameters are those of the first one's medium.
@@ -71,6 +72,8 @@ def make_shell(props: mi.Properties) -> mi.Object:
     if "to_world" in props:
         raise InputError("ndf_shell: to_world", "a transformation", "none: the shell is where the performer is",
                          "Move the performer by the medium's `offset`.")
+    if "flip_normals" in props:
+        raise InputError("ndf_shell: flip_normals", str(props["flip_normals"]).lower(), "none: the shell faces outward, as media need")
     medium = props["interior"] if "interior" in props else None
     field = medium if hasattr(medium, "nest") else None
     if "run" in props:

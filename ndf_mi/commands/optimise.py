@@ -78,7 +78,8 @@ class Optimise:
             base = chosen or preset_of(self.preset)
             changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
             if changed:
-                print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours hold no light, paths stay short")
+                print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours hold no light, densities are "
+                      "above 0, paths stay short")
             trainer = start(self.out, capture, preset, training, plan)
         try:
             train(trainer)
@@ -87,6 +88,10 @@ class Optimise:
             raise
         now = trainer.progress
         print(f"{self.out}: {now.step} steps in {now.seconds:.0f} s, {now.psnr:.2f} dB on the training rays")
+        options = trainer.options
+        if options.integrator != QUADRATURE and not trainer.run.scattered:
+            print(f"{options.integrator} has not begun: its turn comes after {options.warm_up} steps by quadrature (warm_up), and the "
+                  "colours still hold the light of the capture. Train anew, with more steps or seconds, or a smaller warm_up")
         return 0
 
     def _planned(self, capture: Capture) -> tuple[Preset | None, dict[str, Any] | None]:

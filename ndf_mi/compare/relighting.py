@@ -87,6 +87,11 @@ class Relighting:
             raise InputError(f"{self._run.path / 'config.json'}: training.integrator", repr(training.get("integrator", "ndf_quadrature")),
                              f"one of {', '.join(SCATTERING)}: the colours of other runs hold the light they were seen in",
                              "Train one by: ndf-mi optimise CAPTURE -o RUN --integrator prbvolpath")
+        if not self._run.scattered:
+            raise InputError(f"{self._run.path / 'config.json'}: trained.steps", str(self._run.config["trained"]["steps"]),
+                             f"more than the {training['warm_up']} steps by quadrature (warm_up), whose colours hold the light they were "
+                             "seen in", "Go on by: ndf-mi optimise CAPTURE -o RUN --resume. If it has come to its end, train anew, with "
+                             "more steps or seconds, or a smaller warm_up.")
         self._depth = int(training["max_depth"])
         self.captures = {SEEN: Capture.read(capture), UNSEEN: Capture.read(under)}
         expect_capture(self._run, self.captures[SEEN])

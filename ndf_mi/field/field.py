@@ -127,13 +127,16 @@ class BoundField:
         tensors = [part.array for pair in self._tensors.values() for part in pair]
         return any(dr.grad_enabled(value) for value in (*tensors, self._grid) if value is not None)
 
-    def pack(self, half: bool = False) -> None:
+    def pack(self, half: bool | None = None) -> None:
         """Lays the weights out for :meth:`fused`; attached, so that gradients reach the field's weights.
 
         Args:
             half: weights, features and sums of the layers in half precision (11 bits, 6e-5 to 65,504; from there down to 6e-8 bits are
                 lost one by one); encodings, activations of density and colour, and what is returned stay in single.
+                None: only where the active variant has no other.
         """
+        if half is None:
+            half = "single" not in variants.cooperative_precisions()
         self._packed, self._half = _pack(self._tensors, half), half
 
     def density(self, u: Sequence[mi.Float], active: mi.Bool) -> mi.Float:

@@ -31,8 +31,8 @@ class Guard:
     step. At one that is not sound, the optimisers go back to the last state kept, and the rates are halved.
     A state is kept only once a step from it has proved sound.
 
-    What it knows is not part of a checkpoint but for `factor`: a training resumed between a kept state and a refused step goes back to the
-    checkpoint instead.
+    What it knows is not part of a checkpoint but for `factor` and `refused`: a training resumed between a kept state and a refused step
+    goes back to the checkpoint instead.
 
     Args:
         optimisers: as many ``mi.ad.Adam`` as the training has.
@@ -54,6 +54,10 @@ class Guard:
     def keep(self) -> None:
         """Takes the present state as the one to go back to. Arrays are shared, not copied."""
         self._states = [{key: _detached(entry) for key, entry in optimiser.state.items()} for optimiser in self._optimisers]
+
+    def follow(self, other: Guard) -> None:
+        """Takes over what a guard of optimisers that these replace has come to: its count, and its factor on the rates."""
+        self.factor, self.refused = other.factor, other.refused
 
     def sound(self, loss: mi.Float) -> bool:
         """Whether a step can be taken: to be asked when the gradients are there and the optimisers have not used them yet. `loss` is one

@@ -110,7 +110,8 @@ def expect_capture(run: Run, capture: Capture) -> None:
 
 def train(trainer: Trainer, quiet: bool = False) -> None:
     """Trains to the end, or until SIGINT or SIGTERM: then the step under way is finished, the state saved, and KeyboardInterrupt
-    raised. Whatever else goes wrong, the last checkpoint stays.
+    raised. Where training is given up, the last state from which a step was sound is saved. Whatever else goes wrong, the last
+    checkpoint stays.
 
     Raises:
         KeyboardInterrupt: stopped by a signal.
@@ -129,10 +130,16 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
             bar.update(task, completed=trainer.done)
             begun, begun_at = trainer.done, time.perf_counter()
             while trainer.done < 1 and not signals.received:
-                refused = trainer.progress.refused
-                trainer.step()
+                taken = trainer.progress.step
+                try:
+                    trainer.step()
+                except InputError as error:
+                    _leave(trainer)
+                    raise InputError(error.where, error.found, error.expected,
+                                     f"{error.mend} The last good state is in {folder}: it can be rendered, and gone on from "
+                                     "by --resume.".lstrip()) from error
                 now = trainer.progress
-                if now.refused > refused:
+                if now.step == taken:
                     bar.console.print(f"step {now.step + 1} is not taken: its gradient, or the weights after it, would not be finite. "
                                       f"Going on from an earlier state at {now.rate_factor:g} of the learning rate")
                     continue
@@ -144,13 +151,19 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
                 if time.perf_counter() - saved > options.checkpoint_seconds:
                     trainer.save()
                     saved = time.perf_counter()
-        trainer.save()
-        trainer.run.config["trained"] = {"steps": trainer.progress.step, "seconds": trainer.progress.seconds, "done": trainer.done >= 1}
-        files.write_json(folder / "config.json", trainer.run.config)
+        _leave(trainer)
     finally:
         board.close()
     if signals.received:
         raise KeyboardInterrupt
+
+
+def _leave(trainer: Trainer) -> None:
+    """Saves the state, and how far it has come."""
+    trainer.save()
+    run, now = trainer.run, trainer.progress
+    run.config["trained"] = {"steps": now.step, "seconds": now.seconds, "done": trainer.done >= 1}
+    files.write_json(run.path / "config.json", run.config)
 
 
 class _Signals:
@@ -180,6 +193,8 @@ def _log(log: TextIO, board: SummaryWriter, trainer: Trainer) -> None:
     row = {"step": now.step, "seconds": round(now.seconds, 3), "loss": now.error, "psnr": round(now.psnr, 4), "samples": now.evaluated}
     if now.box_psnr is not None:
         row["box_psnr"] = round(now.box_psnr, 4)
+    if now.refused:
+        row |= {"refused": now.refused, "rate_factor": now.rate_factor}
     print(json.dumps(row), file=log, flush=True)
     for name in ("loss", "psnr", "samples"):
         board.add_scalar(f"training/{name}", row[name], now.step)

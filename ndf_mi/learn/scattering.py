@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -14,14 +15,13 @@ from ndf_mi.field import Preset
 from ndf_mi.learn.loss import NoisyLoss
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RayBatch
-from ndf_mi.learn.stage import Stage
+from ndf_mi.learn.stage import Stage, expect_outside
 from ndf_mi.learn.trainer import Step, Trainer
 from ndf_mi.model import PosedModel
 from ndf_mi.render.lights import lights
 from ndf_mi.render.replay import Replay, repeated
-from ndf_mi.run import Run
+from ndf_mi.run import QUADRATURE, Run
 
-QUADRATURE = "ndf_quadrature"
 SCATTERING = ("prbvolpath",)
 """Mitsuba's integrators that differentiate scattering media."""
 
@@ -47,11 +47,14 @@ def check_integrator(name: str) -> None:
 def relightable(preset: Preset) -> tuple[Preset, list[str]]:
     """A preset for training through scattering, and what has been changed in it, as NAME=VALUE.
 
-    The colours of such a field are its own: inputs that say where light comes from, or where the viewer is, are left out.
+    The colours of such a field are its own: inputs that say where light comes from, or where the viewer is, are left out. Its density is
+    above 0 wherever the networks decide: gradients through scattering are biased where it is 0.
     """
-    changes = {"direction_octaves": -1, "normal_octaves": -1, "density_limit": min(preset.density_limit, DENSITY_LIMIT)}
-    changed = [f"{key}={value:g}" for key, value in changes.items() if getattr(preset, key) != value]
-    return dataclasses.replace(preset, **changes), changed  # type: ignore[arg-type]
+    changes: dict[str, Any] = {"direction_octaves": -1, "normal_octaves": -1, "density_limit": min(preset.density_limit, DENSITY_LIMIT),
+                               "density_activation": "softplus"}
+    changed = [f"{key}={value if isinstance(value, str) else format(value, 'g')}"
+               for key, value in changes.items() if getattr(preset, key) != value]
+    return dataclasses.replace(preset, **changes), changed
 
 
 class ScatteringTrainer(Trainer):
@@ -62,7 +65,8 @@ class ScatteringTrainer(Trainer):
     between nodes. Opacity against the masks and the band's edge are seen to by quadrature along the same rays.
 
     Raises:
-        InputError: the light of the capture is not known or its scene is of no use; the preset lets light or viewer into the colours.
+        InputError: the light of the capture is not known or its scene is of no use; the preset lets light or viewer into the colours, or
+            densities be 0; a camera is inside the performer's band.
     """
 
     def __init__(self, run: Run, capture: Capture, options: TrainingOptions) -> None:
@@ -71,9 +75,16 @@ class ScatteringTrainer(Trainer):
             if getattr(preset, key) >= 0:
                 raise InputError(f"preset option {key}", str(getattr(preset, key)), f"-1 with --integrator {options.integrator}",
                                  "Colours that depend on it hold the light of the capture, and cannot be shown under another.")
+        if preset.density_activation == "relu":
+            raise InputError("preset option density_activation", "relu", f"softplus with --integrator {options.integrator}",
+                             "Gradients through scattering are biased where the density is 0, and it would stay 0 there.")
         self._lights = lights(capture.known_lighting())
         super().__init__(run, capture, options)
-        self._frames = capture.splits["train"].frames
+        train = capture.splits["train"]
+        self._frames = train.frames
+        for name in train.cameras:
+            for frame in train.frames:
+                expect_outside(run, capture.cameras[name], frame, options.cell)
         self._behind = srgb_to_linear(mi.Color3f(*[float(v) for v in run.background]))
         self._noisy = NoisyLoss(options.paths)
         self._stage: Stage | None = None
@@ -84,10 +95,13 @@ class ScatteringTrainer(Trainer):
         return self._step >= self.options.warm_up
 
     def step(self) -> None:
-        """As the base class; the first step through scattering begins with fresh moments, and rates as at the start."""
+        """As the base class; the first step through scattering begins with fresh moments and, unless `seconds` or `decay_steps` rule the
+        decay, with rates as at the start; but for what refused steps have left of them."""
         if self._step == self.options.warm_up and self._stage is None and self._step > 0:
             self.publish()
+            before = self._guard
             self._make_optimisers()
+            self._guard.follow(before)
             self._error = float("nan")
         super().step()
 
@@ -116,7 +130,8 @@ class ScatteringTrainer(Trainer):
         return self._stage, self._replay
 
     def _spent(self) -> float:
-        """The rates decay over the steps by quadrature, and again over those through scattering."""
+        """The rates decay over the steps by quadrature, and again over those through scattering; once over all of them where `seconds` or
+        `decay_steps` rule the decay."""
         warm = self.options.warm_up
         if self.options.seconds > 0 or self.options.decay_steps:
             return super()._spent()

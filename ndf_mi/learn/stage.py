@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,10 +10,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.capture.camera import Camera
+from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel
 from ndf_mi.render.bake import Baked, bake
 from ndf_mi.render.shell import band_shell
 from ndf_mi.run import Run
+
+SHELL_CELL = 0.0125
+"""Finest spacing in metres of the grid that a shell is cut from."""
 
 
 class Stage:
@@ -43,7 +49,7 @@ class Stage:
             self._lows[frame] = low - 2 * cell
             extent = np.maximum(extent, high - low)
             vertices = mi.Float(run.poses.vertices[run.poses.index(frame)].ravel())
-            shells[frame] = band_shell(surface, vertices, preset.band, max(cell, 0.0125), preset.band_inside)
+            shells[frame] = band_shell(surface, vertices, preset.band, max(cell, SHELL_CELL), preset.band_inside)
         nx, ny, nz = (int(n) for n in np.ceil(extent / cell) + 5)
         self._shape = (nx, ny, nz)
         most = [max(len(shell[part]) for shell in shells.values()) for part in (0, 1)]
@@ -80,6 +86,28 @@ class Stage:
     def gradient(self) -> mi.Float:
         """What paths have added to the gradients of the lattice's nodes since the last :meth:`place`."""
         return dr.grad(self._nodes)
+
+
+def expect_outside(run: Run, camera: Camera, frame: int, cell: float = SHELL_CELL) -> None:
+    """Raises InputError where a camera may be inside the shell around a frame's band: paths along rays of our own begin outside of media,
+    and would not see what lies between the camera and the next shell.
+
+    Args:
+        cell: spacing in metres of the grid that the shell is cut from, or of the lattice.
+    """
+    # The shell keeps within two cells' diagonals of the band.
+    reach = run.model.band + 2 * math.sqrt(3) * max(cell, SHELL_CELL)
+    vertices = run.poses.vertices[run.poses.index(frame)]
+    position = np.asarray(camera.position, dtype=np.float32)
+    if (position < vertices.min(0) - reach).any() or (position > vertices.max(0) + reach).any():
+        return
+    with dr.suspend_grad():
+        found = run.model.surface.pose(mi.Float(vertices.ravel()), reach).project(mi.Point3f(position.tolist()))
+        if not found.valid[0]:
+            return
+    raise InputError(f"camera {camera.name!r}, frame {frame}", f"a place {100 * found.l[0]:.1f} cm off the body, inside the performer's "
+                     "band or its shell", f"a camera at least {100 * reach:.1f} cm away from the body: paths begin outside of media",
+                     "Leave the camera or the frame out of the split.")
 
 
 def _filled(array: np.ndarray, count: int) -> np.ndarray:

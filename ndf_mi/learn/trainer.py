@@ -185,6 +185,7 @@ class Trainer:
             "error": None if math.isnan(self._error) else self._error,
             "box_error": None if math.isnan(self._box_error) else self._box_error,
             "rate_factor": self._guard.factor,
+            "refused": self._guard.refused,
             "random": self._rng.bit_generator.state,
         }
         write_state(self.run.path / STATE, tensors, facts)
@@ -209,8 +210,9 @@ class Trainer:
             # States written before it was told apart lack it.
             box = facts.get("box_error")
             self._box_error = float("nan") if box is None else float(box)
-            # States written before rates could be made smaller lack it.
+            # States written before rates could be made smaller, or before refused steps were counted, lack them.
             self._guard.factor = float(facts.get("rate_factor", 1.0))
+            self._guard.refused = int(facts.get("refused", 0))
             self._guard.keep()
             if self._occupancy is not None:
                 self._occupancy.restore(tensors["occupancy"], self._step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import drjit as dr
@@ -9,18 +10,27 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.render.shell import band_points
+from ndf_mi.render.transport_scene import lets_light_in
 
 BLIND = (
     "PathIntegrator", "DirectIntegrator", "PRBIntegrator", "BasicPRBIntegrator", "PathProjectiveIntegrator",
     "DirectProjectiveIntegrator", "EmissionProjectiveIntegrator", "PTracerIntegrator", "ParticleTracerIntegrator", "DepthIntegrator",
+    "BasicVolumetricPrimitiveRadianceFieldIntegrator",
 )
 """Integrators that know surfaces only: a medium's shell, having no surface of its own, is not there for them."""
+
+OWN = ("NDFPath", "NDFQuadrature")
+"""Integrators of the package. The performer is where the band is for them, whatever is around it, and they refuse by themselves what they
+cannot show."""
 
 OPEN = ("Rectangle", "Disk", "Cylinder", "BSplineCurve", "LinearCurve")
 """Shapes that enclose nothing."""
 
 POINTS = 4096
 """Points of the band that a shape is asked to contain."""
+
+DIRECTIONS = ((1.0, 0.0, 0.0), (0.48, -0.6, 0.64))
+"""Of the lines along which it is asked."""
 
 MOST_HITS = 256
 """Surfaces looked at along a ray before it is given up."""
@@ -29,9 +39,13 @@ MOST_HITS = 256
 def faults(scene: mi.Scene) -> list[str]:
     """Looks a scene over for what renders wrongly and silently.
 
-    - an integrator that ignores media;
+    - a shape without a surface and without a medium, such as an `ndf_shell` that was given a run alone;
+    - an integrator that ignores media, by itself or within another (`aov`, `moment`);
     - a shape around an `ndf` medium that is not closed, faces inward, shows a surface of its own, or leaves part of the band out;
+    - shapes around two performers that meet;
     - a sensor inside such a shape that names no medium, and one under `prbvolpath`, which begins outside of media whatever it names.
+
+    Under the package's own integrators the first alone is one: they do not track media by surfaces.
 
     Args:
         scene: as loaded.
@@ -39,21 +53,21 @@ def faults(scene: mi.Scene) -> list[str]:
     Returns:
         one sentence or two for each fault, what to do included; none for a scene without faults.
     """
-    found: list[str] = []
+    found = _empty_shapes(scene)
     holders = [shape for shape in scene.shapes() if hasattr(shape.interior_medium(), "posed")]
-    if not holders:
+    kinds = _integrators(scene)
+    if not holders or (kinds and all(kind & set(OWN) for kind in kinds)):
         return found
-    integrator = scene.integrator()
-    kind = type(integrator).__name__ if integrator is not None else ""
-    for name in {kind, integrator.class_name() if integrator is not None else ""}:
-        if name in BLIND:
-            found.append(f"integrator: {name} knows no media, and shows nothing of the `ndf` media. Use `volpath`, `volpathmis`, "
-                         "`prbvolpath` or one of this package.")
-            break
+    for name in sorted(set().union(*kinds) & set(BLIND)):
+        found.append(f"integrator: {name} knows no media, and shows nothing of the `ndf` media. Use `volpath`, `volpathmis`, "
+                     "`prbvolpath` or one of this package.")
     for shape in holders:
         found += _shape_faults(scene, shape)
+    for one, other in itertools.combinations(holders, 2):
+        found += _meeting(scene, one, other)
+    prb = any("PRBVolpathIntegrator" in kind for kind in kinds)
     for number, sensor in enumerate(scene.sensors()):
-        found += _sensor_faults(scene, number, sensor, holders, kind)
+        found += _sensor_faults(scene, number, sensor, holders, prb)
     return found
 
 
@@ -76,8 +90,20 @@ def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
 
 
 def contains(scene: mi.Scene, shape: mi.Shape, points: np.ndarray) -> np.ndarray:
-    """Whether points (N, 3) are inside a shape of a scene: whether the first of its surfaces along +x, past all others, faces away."""
-    ray = mi.Ray3f(mi.Point3f(points.astype(np.float32).T), mi.Vector3f(1.0, 0.0, 0.0))
+    """Whether points (N, 3) are inside a shape of a scene: whether the first of its surfaces along a line, past all others, faces away.
+
+    What seems outside is asked once more, along another line: where two shapes' surfaces cross, a ray that passes the one may miss the other.
+    """
+    inside = np.zeros(len(points), dtype=bool)
+    for direction in DIRECTIONS:
+        left = np.flatnonzero(~inside)
+        if len(left):
+            inside[left] = _faced_from_within(scene, shape, points[left], direction)
+    return inside
+
+
+def _faced_from_within(scene: mi.Scene, shape: mi.Shape, points: np.ndarray, direction: tuple[float, float, float]) -> np.ndarray:
+    ray = mi.Ray3f(mi.Point3f(points.astype(np.float32).T), mi.Vector3f(*direction))
     inside = dr.full(mi.Bool, False, len(points))
     active = dr.full(mi.Bool, True, len(points))
     wanted = mi.ShapePtr(shape)
@@ -94,12 +120,48 @@ def contains(scene: mi.Scene, shape: mi.Shape, points: np.ndarray) -> np.ndarray
     return inside.numpy()
 
 
+def _integrators(scene: mi.Scene) -> list[set[str]]:
+    """Names of the classes, in Python and in C++, of the scene's integrator, or of those that it hands rays on to."""
+    if scene.integrator() is None:
+        return []
+    found = {node: parent for node, (parent, _) in mi.traverse(scene.integrator()).hierarchy.items() if isinstance(node, mi.Integrator)}
+    within = [node for node in found if not any(parent is node for parent in found.values())]
+    return [{type(node).__name__, node.class_name()} for node in within]
+
+
+def _empty_shapes(scene: mi.Scene) -> list[str]:
+    return [f"shape {shape.id()!r}: has neither a surface (its BSDF is null) nor a medium, so that nothing of it is seen. Give it an `ndf` "
+            "medium as its interior: an `ndf_shell` is only what is around one."
+            for shape in scene.shapes()
+            if shape.bsdf() is not None and _is_null(shape.bsdf()) and shape.interior_medium() is None and shape.exterior_medium() is None
+            and not shape.is_emitter() and not shape.is_sensor()]
+
+
+def _is_null(bsdf: mi.BSDF) -> bool:
+    """Whether light passes it as if it were not there, and does nothing else."""
+    return int(bsdf.flags()) & int(mi.BSDFFlags.All) == int(mi.BSDFFlags.Null)
+
+
+def _meeting(scene: mi.Scene, one: Any, other: Any) -> list[str]:
+    """Told where points on one of two shapes are inside the other."""
+    a, b = one.bbox(), other.bbox()
+    if not a.overlaps(b):
+        return []
+    for shape, around in ((one, other), (other, one)):
+        u = np.random.default_rng(0).random((2, POINTS), dtype=np.float32)
+        points = shape.sample_position(0.0, mi.Point2f(u)).p.numpy().T
+        if contains(scene, around, points).any():
+            return [f"shapes {one.id()!r} and {other.id()!r}: meet, while Mitsuba keeps one medium at a time along a ray: where they do, "
+                    "one of the performers is missing. Move one of them by its medium's `offset`, or use `ndf_path`."]
+    return []
+
+
 def _shape_faults(scene: mi.Scene, shape: Any) -> list[str]:
     name = f"shape {shape.id()!r}"
     field = shape.interior_medium()
     field = getattr(field, "field", field)
     found: list[str] = []
-    if not mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null):
+    if not lets_light_in(shape.bsdf()):
         found.append(f"{name}: has a surface of its own (BSDF {shape.bsdf().class_name()}), which hides the medium. Give it "
                      "<bsdf type=\"null\"/>.")
     if shape.class_name() in OPEN:
@@ -124,18 +186,17 @@ def _shape_faults(scene: mi.Scene, shape: Any) -> list[str]:
     return found
 
 
-def _sensor_faults(scene: mi.Scene, number: int, sensor: mi.Sensor, holders: list[Any], integrator: str) -> list[str]:
+def _sensor_faults(scene: mi.Scene, number: int, sensor: mi.Sensor, holders: list[Any], prb: bool) -> list[str]:
     ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
     origin = np.array(ray.o, dtype=np.float64).reshape(3, -1)[:, :1].T
     inside = [shape for shape in holders if contains(scene, shape, origin)[0]]
     if not inside:
         return []
     where = f"sensor {number} is inside the medium of shape {inside[0].id()!r}"
-    if integrator == "PRBVolpathIntegrator":
+    if prb:
         return [f"{where}, but `prbvolpath` begins outside of media: what lies between it and the next shell is not seen. Use "
                 "`volpath`, or move the sensor."]
-    # What it names is among its parameters, and nowhere else for Python.
-    if not any(key.startswith("medium.") for key in mi.traverse(sensor).keys()):  # noqa: SIM118
+    if sensor.get_medium() is None:
         return [f"{where}, but names no medium: what lies between it and the next shell is not seen. Give the medium an id, and the sensor "
                 "<ref id=\"…\"/>."]
     return []

@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 
 from ndf_mi.errors import InputError
+from ndf_mi.render.colours import tell
 from ndf_mi.render.transport import Performer
 
 
@@ -34,7 +35,16 @@ def performers(scene: mi.Scene, who: str) -> list[Performer]:
     for sensor in scene.sensors():
         if sensor.get_medium() is not None:
             _field(sensor.get_medium(), f"{who}: the sensor's medium")
+    for field in found.values():
+        tell(field.run, scattering=False)
     return [Performer(field.posed(), float(field.scale)) for field in found.values()]
+
+
+def lets_light_in(bsdf: mi.BSDF) -> bool:
+    """Whether light can get through a surface, straight on, refracted or scattered."""
+    flags = int(bsdf.flags())
+    through = (mi.BSDFFlags.Null, mi.BSDFFlags.DeltaTransmission, mi.BSDFFlags.GlossyTransmission, mi.BSDFFlags.DiffuseTransmission)
+    return any(flags & int(flag) for flag in through)
 
 
 def _field(medium: Any, where: str) -> Any:
@@ -47,9 +57,7 @@ def _field(medium: Any, where: str) -> Any:
 
 
 def _check_bsdf(shape: mi.Shape, who: str) -> None:
-    flags = int(shape.bsdf().flags())
-    through = (mi.BSDFFlags.Null, mi.BSDFFlags.DeltaTransmission, mi.BSDFFlags.GlossyTransmission, mi.BSDFFlags.DiffuseTransmission)
-    if not any(flags & int(flag) for flag in through):
+    if not lets_light_in(shape.bsdf()):
         raise InputError(f"{who}: {_name(shape)}", f"the BSDF {shape.bsdf().class_name()} around an `ndf` medium",
                          'one that lets light in: `<bsdf type="null"/>`')
 

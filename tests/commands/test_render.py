@@ -42,6 +42,27 @@ def test_a_scene_to_exr_with_its_aovs(make_constant_run, tmp_path):
     assert found["depth.T"].shape == (20, 24) and found["opacity.A"].max() > 0.99
 
 
+@pytest.mark.parametrize(("integrator", "told"), [("path", 1), ("volpath", 0), ("ndf_path", 0)])
+def test_a_picture_without_the_performer_is_told_of(make_constant_run, tmp_path, capsys, integrator, told):
+    run = make_constant_run(20.0)
+    out = tmp_path / "c.png"
+    place = ["-D", "origin=0, 0.5, 2", "-D", "target=0, 0.2, 0", "--size", "8", "8", "--spp", "1"]
+    assert main(["render", str(SCENE.with_name("lit.xml")), "-o", str(out), "-D", f"run={run.path}", "-D", f"integrator={integrator}",
+                 *place]) == 0
+    error = capsys.readouterr().err
+    assert error.count("warning") == error.count("knows no media") == told
+    assert imread(out).shape == (8, 8, 3)
+
+
+def test_albedos_shown_as_light_are_told_of(make_constant_run, tmp_path, capsys):
+    run = make_constant_run(20.0)
+    for training, told in ((None, 0), ({"integrator": "ndf_quadrature"}, 0), ({"integrator": "prbvolpath", "warm_up": 5}, 1)):
+        run.config["training"] = training
+        run.save()
+        assert main(["render", str(run.path), "-o", str(tmp_path / "d.png"), "--size", "8", "8"]) == 0
+        assert capsys.readouterr().err.count("as if they were light") == told
+
+
 @pytest.mark.parametrize(("arguments", "words"), [
     (["nowhere", "-o", "x.png"], "no such file"),
     (["RUN", "-o", "x.jpg"], ".exr or .png"),

@@ -1,10 +1,12 @@
 """Relighting as a whole on small captures, the diffuse mesh on its own, and what is refused."""
 
 import json
+import shutil
 
 import mitsuba as mi
 import numpy as np
 import pytest
+from sphere_capture import ring_camera
 
 from ndf_mi import commands
 from ndf_mi.compare import metrics
@@ -12,10 +14,12 @@ from ndf_mi.compare.methods import mesh_fit
 from ndf_mi.compare.methods.lit_field import LitField
 from ndf_mi.compare.methods.lit_mesh import LitMesh
 from ndf_mi.compare.methods.lit_surface import ReflectanceFit
+from ndf_mi.errors import InputError
 from ndf_mi.field import preset
 from ndf_mi.learn.loop import start, train
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import relightable
+from ndf_mi.learn.stage import expect_outside
 from ndf_mi.render.lights import lights
 
 
@@ -69,11 +73,17 @@ def test_it_measures_both_under_both_lights_and_keeps_what_is_there(captures, tr
 def test_captures_that_do_not_belong_are_refused(captures, trained, make_run, tmp_path, capsys):
     day, night = captures
     out = tmp_path / "out"
+    # One that ended before scattering began.
+    early = shutil.copytree(trained, tmp_path / "early")
+    config = json.loads((early / "config.json").read_text())
+    config["trained"]["steps"] = 2
+    (early / "config.json").write_text(json.dumps(config))
     for arguments, words in (
         ((trained, night, day), ["the one that"]),
         ((trained, day, day), ["in another light"]),
         ((make_run("other").path, day, night), ["training.integrator", "prbvolpath"]),
         ((tmp_path / "nothing", day, night), ["config.json"]),
+        ((early, day, night), ["trained.steps", "more than the 2 steps by quadrature", "warm_up"]),
     ):
         assert call(*arguments, out) == 2
         said = capsys.readouterr().err
@@ -97,6 +107,19 @@ def test_a_lattice_shows_what_the_field_itself_shows(make_constant_run, captures
     bias = (images[1] - images[0])[inside].mean(0)
     assert np.abs(bias).max() < 0.01 + 3 * np.sqrt(noise / inside.sum())
     assert method.fingerprint() != LitField(run, {}, "day", 64, 6, [1]).fingerprint()
+
+
+def test_a_camera_inside_the_band_is_refused(make_constant_run):
+    """And one outside of it and of its shell is not: at 2 m nothing is asked of the body at all."""
+    run = make_constant_run(25.0)
+    camera = ring_camera("near", 0.0)
+    for distance, near in ((0.36, True), (0.41, True), (0.45, False), (2.0, False)):
+        camera.transform[:3, 3] = [0.05, 0, distance]
+        if not near:
+            expect_outside(run, camera, 1)
+            continue
+        with pytest.raises(InputError, match="camera 'near', frame 1.*inside the performer's band"):
+            LitField(run, {}, "day", 2, 4, [1]).render(camera, 1)
 
 
 @pytest.mark.long

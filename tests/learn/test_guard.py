@@ -59,16 +59,35 @@ def test_a_poisoned_step_is_not_taken(capture, tmp_path, poisoned, monkeypatch, 
     assert trainer.progress.step == 12 and trainer.progress.rate_factor == 0.25
     assert "step 8 is not taken" in capsys.readouterr().out
     assert all(np.isfinite(value).all() for value in Run.load(tmp_path / "run").field_tensors().values())
-    assert resume(tmp_path / "run", capture).progress.rate_factor == 0.25
+    again = resume(tmp_path / "run", capture).progress
+    assert again.rate_factor == 0.25 and again.refused == 2
+    rows = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert (rows[-1]["refused"], rows[-1]["rate_factor"]) == (2, 0.25)
 
 
-def test_it_stops_where_smaller_steps_do_not_help(capture, tmp_path, poisoned):
+def test_it_stops_where_smaller_steps_do_not_help(capture, tmp_path, poisoned, monkeypatch):
+    """And keeps the state that it went back to last, from which it can be gone on."""
+    monkeypatch.setattr(guard, "KEEP_EVERY", 2)
     poisoned.extend(range(4, 100))
     trainer = start(tmp_path / "run", capture, TINY, OPTIONS)
-    with pytest.raises(InputError, match="learning rate"):
+    for _ in range(2):
+        trainer.step()
+    good = weights(trainer)
+    with pytest.raises(InputError, match="learning rate") as caught:
         train(trainer, quiet=True)
+    assert "--resume" in str(caught.value) and str(tmp_path / "run") in str(caught.value)
     assert trainer.progress.refused == guard.PATIENCE + 1
-    assert all(np.isfinite(value).all() for value in weights(trainer).values())
+    kept = Run.load(tmp_path / "run")
+    assert kept.config["trained"]["steps"] == 3 and not kept.config["trained"]["done"]
+    for key, value in good.items():
+        assert (kept.field_tensors()[key] == value).all()
+    poisoned.clear()
+    again = resume(tmp_path / "run", capture)
+    assert again.progress.step == 3 and again.progress.rate_factor == 0.5**guard.PATIENCE
+    for key, value in weights(again).items():
+        assert (good[key] == value).all()
+    train(again, quiet=True)
+    assert again.progress.step == 12 and Run.load(tmp_path / "run").config["trained"]["done"]
 
 
 @pytest.mark.parametrize("rate", [1e-30, 1e-3, 1e30])

@@ -10,6 +10,7 @@ import pytest
 
 from ndf_mi import commands, files
 from ndf_mi.capture.capture import Capture
+from ndf_mi.commands.training_options import configured
 from ndf_mi.errors import InputError
 from ndf_mi.field import preset
 from ndf_mi.learn.loop import resume, start, train
@@ -112,6 +113,47 @@ def test_a_step_that_is_not_finite_is_not_taken(truth, lit_capture, tmp_path, mo
     assert trainer.progress.step == 1 and trainer.progress.refused == 1 and trainer.progress.rate_factor == 0.5
 
 
+@pytest.mark.long
+def test_refused_steps_are_remembered_and_told_where_scattering_begins(truth, lit_capture, tmp_path, monkeypatch, capsys):
+    options = dataclasses.replace(OPTIONS, steps=4, warm_up=2, rays=64)
+    trainer = start(tmp_path / "run", lit_capture(truth, "day"), TINY, options)
+    gradients, calls = trainer._gradients, []
+
+    def poisoned(batch):
+        calls.append(trainer.scattering)
+        found = gradients(batch)
+        # The second step by quadrature, and the first through scattering.
+        return dataclasses.replace(found, loss=mi.Float(dr.nan)) if len(calls) in (2, 4) else found
+
+    monkeypatch.setattr(trainer, "_gradients", poisoned)
+    train(trainer, quiet=True)
+    assert calls == [False, False, False, True, True, True]
+    said = capsys.readouterr().out
+    assert "step 2 is not taken" in said and "step 3 is not taken" in said
+    assert trainer.progress.step == 4 and trainer.progress.refused == 2 and trainer.progress.rate_factor == 0.25
+
+
+def test_the_paper_preset_gets_a_density_above_0(truth, lit_capture, tmp_path, capsys):
+    changed, changes = relightable(preset("paper"))
+    assert changed.density_activation == "softplus" and "density_activation=softplus" in changes and "density_limit=150" in changes
+    assert configured("paper", integrator="prbvolpath")[0].density_activation == "softplus"
+    capture = lit_capture(truth, "day")
+    without_light(capture.path)
+    arguments = ["optimise", str(capture.path), "-o", str(tmp_path / "out"), "--preset", "paper", "--integrator", "prbvolpath"]
+    assert commands.main(arguments) == 2
+    assert "density_activation=softplus" in capsys.readouterr().out
+
+
+def test_a_training_that_ends_before_scattering_begins_says_so(truth, lit_capture, tmp_path, capsys):
+    capture = lit_capture(truth, "day")
+    arguments = ["optimise", str(capture.path), "-o", str(tmp_path / "run"), "--preset", "tiny", "--integrator", "prbvolpath",
+                 "--seconds", "0.001", "--option", "rays=64", "--option", "samples=8"]
+    assert commands.main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "prbvolpath has not begun" in said and "1500 steps by quadrature" in said
+    assert not Run.load(tmp_path / "run").scattered
+
+
 @pytest.fixture
 def refused(truth, lit_capture, tmp_path, capsys):
     """Calls `ndf-mi optimise`, which is to fail with exit code 2 and write nothing; returns what it says."""
@@ -138,6 +180,15 @@ def dark(folder):
     (folder / "lighting.xml").write_text('<scene version="3.0.0"><shape type="sphere"/></scene>')
 
 
+def close(folder):
+    """Moves a camera to 5 cm from the ball's surface at frame 0."""
+    document = json.loads((folder / "capture.json").read_text())
+    (camera,) = (camera for camera in document["cameras"] if camera["name"] == "c1")
+    for row, value in zip(camera["transform_matrix"], (0.0, 0.0, 0.35), strict=False):
+        row[3] = value
+    files.write_json(folder / "capture.json", document)
+
+
 @pytest.mark.parametrize(("arguments", "words"), [
     (("moonbeam",), ["moonbeam", "does not exist", "prbvolpath"]),
     (("volpath",), ["volpath", "cannot differentiate media"]),
@@ -146,6 +197,8 @@ def dark(folder):
     (("prbvolpath", dark), ["lighting.xml", "without an emitter"]),
     (("prbvolpath", lambda folder: (folder / "lighting.xml").unlink()), ["lighting.scene"]),
     (("prbvolpath", None, "--option", "normal_octaves=1"), ["normal_octaves", "light of the capture"]),
+    (("prbvolpath", None, "--option", "density_activation=relu"), ["density_activation", "softplus", "biased"]),
+    (("prbvolpath", close), ["camera 'c1', frame 0", "5.0 cm off the body", "band"]),
     (("prbvolpath", None, "--option", "paths=1"), ["paths", "at least 2"]),
     (("prbvolpath", None, "--steps", "100"), ["warm-up", "1500", "100"]),
 ])

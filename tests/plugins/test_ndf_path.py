@@ -155,6 +155,24 @@ def test_a_field_that_varies_is_what_ndf_quadrature_shows(make_run):
     np.testing.assert_allclose(image, expected, atol=1e-5)
 
 
+def test_before_a_turned_environment_map_it_is_what_ndf_quadrature_shows(constant):
+    """And what Mitsuba's `path` shows where no performer is."""
+    y, x = np.mgrid[:32, :64] / np.array([32, 64])[:, None, None]
+    picture = np.stack([0.2 + x, 1 + 0.8 * np.sin(2 * np.pi * x), 0.3 + 2 * y], -1).astype(np.float32)
+
+    def light(angle):
+        return {"type": "envmap", "bitmap": mi.Bitmap(picture), "to_world": T().rotate([0, 1, 0], angle).rotate([1, 0, 0], 40)}
+
+    shapes = {"performer": performer(constant())}
+    images = {name: mi.render(scene_of(name, shapes={**shapes, "light": light(110)}), spp=4, seed=1).numpy()
+              for name in ("ndf_quadrature", "ndf_path")}
+    np.testing.assert_allclose(images["ndf_path"], images["ndf_quadrature"], atol=1e-5)
+    empty, other = (mi.render(scene_of("path", shapes={"light": light(angle)}), spp=4, seed=1).numpy() for angle in (110, 0))
+    corner = images["ndf_path"][:3, :3]
+    np.testing.assert_allclose(corner, empty[:3, :3], atol=1e-5)
+    assert np.abs(corner - other[:3, :3]).max() > 0.1 and np.abs(images["ndf_path"] - empty).max() > 0.1
+
+
 @pytest.mark.parametrize("sampler", ["independent", "multijitter"])
 def test_passes_have_the_mean_of_one(constant, monkeypatch, sampler):
     from ndf_mi.plugins import ndf_path

@@ -138,6 +138,33 @@ def test_shell_and_cube_bound_the_same_medium(make_run):
     assert a == pytest.approx(b, rel=0.02)
 
 
+@pytest.mark.parametrize("integrator", ["volpath", pytest.param("prbvolpath", marks=pytest.mark.long)])
+def test_a_medium_takes_half_precision_where_there_is_no_other(make_run, monkeypatch, integrator):
+    """As on GPUs: the same picture but for the rounding, and gradients too."""
+    run = make_run(density_limit=20.0, density_gain=10.0)
+    images, gradients, halves = [], [], []
+    for precisions in (("single", "half"), ("half",)):
+        monkeypatch.setattr("ndf_mi.variants.cooperative_precisions", lambda precisions=precisions: precisions)
+        scene = scene_of(run, integrator, size=8, max_depth=4)
+        halves.append(scene.shapes()[0].interior_medium().posed().bound._half)
+        if integrator == "volpath":
+            images.append(mi.render(scene, spp=64).numpy())
+            continue
+        params = mi.traverse(scene)
+        dr.enable_grad(params["performer.interior_medium.weights"])
+        params.update()
+        image = mi.render(scene, params, spp=16)
+        dr.backward(dr.mean(image, axis=None))
+        images.append(image.numpy())
+        gradients.append(dr.grad(params["performer.interior_medium.weights"]).numpy())
+    assert halves == [False, True]
+    # Paths part where rounding decides otherwise about a collision.
+    assert images[0].mean() == pytest.approx(images[1].mean(), rel=0.01) and images[0].std() > 0.01
+    if gradients:
+        assert np.isfinite(gradients[1]).all()
+        assert np.dot(*gradients) > 0.9 * np.linalg.norm(gradients[0]) * np.linalg.norm(gradients[1]) > 0
+
+
 def test_fields_weights_are_parameters_and_train(make_run):
     """The loop of the README: Adam on the weights through mi.render brings the picture to a target."""
     # Rays fall anywhere in their pixels: enough of them, that the loss is not that of the silhouette's noise.
@@ -235,6 +262,8 @@ def test_scenes_load_and_render(make_run, name, change):
     ({"frame": 77}, ["frame", "77", "0-2"]),
     ({"run": "nowhere"}, ["nowhere", "config.json"]),
     ({"scale": -1.0}, ["scale", "-1"]),
+    ({"scale": float("inf")}, ["scale", "inf"]),
+    ({"scale": float("nan")}, ["scale", "nan"]),
     ({"colour": 1.0}, ["colour"]),
 ])
 def test_wrong_parameters_of_the_medium_are_named(make_run, change, words):

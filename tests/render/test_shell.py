@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from ndf_mi.body.anny import load_anny
+from ndf_mi.body.motion import load_clip, pose_sequence
 from ndf_mi.projection import Surface
-from ndf_mi.render.shell import Grid, band_shell, corners_of, cut, reduce_parts, spread
+from ndf_mi.render.shell import Grid, band_points, band_shell, corners_of, cut, reduce_parts, spread
 
 BAND, INSIDE, CELL = 0.06, 0.025, 0.02
 
@@ -68,9 +70,15 @@ def pierced(vertices, faces, low, cell):
     return hits, len(pairs)
 
 
-@pytest.mark.parametrize("name", BODIES)
+def walking():
+    """The default body in the middle of a step, its arms by its sides."""
+    body = load_anny()
+    return trimesh.Trimesh(pose_sequence(body, load_clip("walk"), [20]).vertices[0], body.faces, process=False)
+
+
+@pytest.mark.parametrize("name", [*BODIES, pytest.param("the default body, walking", marks=pytest.mark.long)])
 def test_shell_is_closed_and_contains_the_band(name):
-    surface, posed = surface_of(BODIES[name])
+    surface, posed = surface_of(BODIES[name] if name in BODIES else [walking()])
     vertices, faces = band_shell(surface, mi.Float(posed.ravel()), BAND, CELL, INSIDE)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
@@ -81,6 +89,8 @@ def test_shell_is_closed_and_contains_the_band(name):
 
     rng = np.random.default_rng(3)
     points = rng.uniform(posed.min(0) - BAND, posed.max(0) + BAND, (20000, 3))
+    # And close to all of the body: in armpits, between fingers and legs.
+    points = np.concatenate([points, band_points(surface, posed, BAND, INSIDE, 20000, seed=3)])
     found = surface.pose(mi.Float(posed.ravel()), BAND).project(mi.Point3f(points.astype(np.float32).T))
     band = found.valid.numpy() & (found.l.numpy() >= -INSIDE)
     assert band.sum() > 2000

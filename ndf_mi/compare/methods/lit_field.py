@@ -14,7 +14,7 @@ from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera
 from ndf_mi.compare.methods.lit import Lit
 from ndf_mi.learn.rays import box_pixels
-from ndf_mi.learn.stage import Stage
+from ndf_mi.learn.stage import Stage, expect_outside
 from ndf_mi.run import Run
 
 LAYERS = 4
@@ -50,7 +50,12 @@ class LitField:
         self._frame: int | None = None
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
-        """(h, w, 3) float32 sRGB in [0, 1] over the run's background."""
+        """(h, w, 3) float32 sRGB in [0, 1] over the run's background.
+
+        Raises:
+            InputError: the camera is inside the performer's band or its shell.
+        """
+        expect_outside(self._run, camera, frame, self._lattice)
         if frame != self._frame:
             self._lit = Lit(self._scene(frame), self._integrator(), self._run.background, self._spp)
             self._frame = frame
