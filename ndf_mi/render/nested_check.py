@@ -92,7 +92,8 @@ def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
 def contains(scene: mi.Scene, shape: mi.Shape, points: np.ndarray) -> np.ndarray:
     """Whether points (N, 3) are inside a shape of a scene: whether the first of its surfaces along a line, past all others, faces away.
 
-    What seems outside is asked once more, along another line: where two shapes' surfaces cross, a ray that passes the one may miss the other.
+    What seems outside is asked once more, along another line: where two shapes' surfaces cross, a ray that passes the one may miss the
+    other.
     """
     inside = np.zeros(len(points), dtype=bool)
     for direction in DIRECTIONS:
