@@ -158,7 +158,7 @@ def check(place, values, change, paths, repeats, forward):
         noise = np.sqrt(np.var(sides[0], ddof=1) + np.var(sides[1], ddof=1)) / (2 * step) / 2
         assert abs(gradient - difference) < ERRORS * np.hypot(error, noise), (name, gradient, difference, error, noise)
         # The comparison means something: the noise is small itself.
-        assert error < 0.25 * abs(gradient) and noise < 0.25 * abs(gradient), (name, gradient, error, noise)
+        assert error < 0.1 * abs(gradient) and noise < 0.1 * abs(gradient), (name, gradient, error, noise)
         place.set(values, wanted=False)
 
 
