@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ndf_mi.capture.camera import Camera
 from ndf_mi.compare.methods.ndf import read_history
 from ndf_mi.compare.trade.cost import CostModel
-from ndf_mi.compare.trade.profile import Key, profile_of
+from ndf_mi.compare.trade.profile import Key, pace, profile_of
 from ndf_mi.compare.trade.setting import Setting
 from ndf_mi.compare.trade.sight import Sight, look
 from ndf_mi.errors import InputError
@@ -27,6 +27,8 @@ from ndf_mi.run import Run
 SAMPLES = (*range(4, 32, 4), *range(32, 64, 8), *range(64, 128, 16), *range(128, 256, 32), *range(256, 513, 64))
 #: How far off the time asked for a picture may be.
 TOLERANCE = 0.2
+#: How far off the profile's a pace is worth a word.
+PACE_TOLD = 0.1
 
 _UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
 
@@ -138,8 +140,12 @@ def choose(run: Run, frame: int, camera: Camera, geometry: bool, tell: Callable[
     own = None if known is None else known.own(profile.opacity)
     model = profile.model()
     sight = look(run.posed(frame), camera)
-    found = [Choice(setting, model.seconds(setting, sight), *_believed(model.error(setting), own))
-             for setting in _offered(model, sight, budget)]
+    # An error asks for no time: what pictures take now is told, and decides nothing.
+    slower = pace(run, (camera.w, camera.h), geometry, profile) if budget is not None else 1.0
+    if not 1 / (1 + PACE_TOLD) <= slower <= 1 + PACE_TOLD:
+        tell(f"pictures take {slower:.2g} times as long now as when the profile was measured")
+    found = [Choice(setting, slower * model.seconds(setting, sight), *_believed(model.error(setting), own))
+             for setting in _offered(model, sight, None if budget is None else budget / slower)]
     if budget is not None:
         return within_budget(found, budget)
     assert error is not None

@@ -31,7 +31,7 @@ from ndf_mi.render.image import Image
 from ndf_mi.run import Run
 
 FORMAT = "ndf-profile"
-VERSION = 2
+VERSION = 3
 #: Longer side in pixels of the pictures measured at most: times of larger ones follow from their rays.
 LARGEST = 512
 CUTOFFS = (1e-4, 1e-2)
@@ -41,6 +41,9 @@ HALF = {CUTOFFS[0]: (8, 16, 28, 64, 112, 256), CUTOFFS[1]: (8, 40, 128)}
 WHOLE = {CUTOFFS[0]: (16, 64, 224), CUTOFFS[1]: (32,)}
 AZIMUTHS = (0.0, 120.0)
 REPEATS = 3
+#: What the machine's pace is told by, one of those of `HALF`; and how far off it may be found.
+PACE = Setting(64, CUTOFFS[0])
+FARTHEST = 4.0
 
 
 @dataclass(frozen=True)
@@ -168,11 +171,8 @@ def read(key: Key) -> tuple[Profile | None, str]:
 
 def measure(run: Run, size: tuple[int, int], geometry: bool, tell: Callable[[str], None]) -> Profile:
     """Measures settings in two views of the run's, interleaved; kernels are compiled in a round before, which finds the errors, too."""
-    shrink = min(LARGEST / max(size), 1.0)
-    whole = (max(round(shrink * size[0]), 2), max(round(shrink * size[1]), 2))
-    half = (max(whole[0] // 2, 1), max(whole[1] // 2, 1))
-    frames = [int(run.poses.frames[i * (len(run.poses.frames) - 1) // max(len(AZIMUTHS) - 1, 1)]) for i in range(len(AZIMUTHS))]
-    views = list(zip(frames, AZIMUTHS, strict=True))
+    whole, half = _sizes(size)
+    views = _views(run)
     jobs = [(pixels, Setting(n, cutoff)) for pixels, plan in ((half, HALF), (whole, WHOLE)) for cutoff, ns in plan.items() for n in ns]
     first: dict[tuple[int, int], tuple[Image, float | None]] = {}
     seconds: dict[tuple[int, int], list[float]] = {}
@@ -200,13 +200,44 @@ def measure(run: Run, size: tuple[int, int], geometry: bool, tell: Callable[[str
     for index, (_, setting) in enumerate(jobs):
         works = [first[number, index][0].work for number in range(len(views))]
         errors = [error for number in range(len(views)) if (error := first[number, index][1]) is not None]
-        # The least: whatever else the machine does meanwhile makes a picture slower, never quicker.
-        taken = statistics.mean(min(seconds[number, index]) for number in range(len(views)))
+        taken = statistics.mean(statistics.median(seconds[number, index]) for number in range(len(views)))
         names = ("tiles", "lanes", "evaluated", "launched")
         counts = {name: statistics.mean(getattr(work, name) for work in works) for name in names}
         error = statistics.mean(errors) if errors else None
         samples.append(Sample(setting.samples, setting.cutoff, **counts, seconds=taken, error=error))
     return Profile(samples, statistics.mean(opacities))
+
+
+def pace(run: Run, size: tuple[int, int], geometry: bool, profile: Profile) -> float:
+    """How many times as long pictures take now as when the profile was measured: processors, above all shared ones, do not always go at
+    one pace. From some of the profile's own pictures, drawn again, in a second or two."""
+    known = next((s for s in profile.samples if (s.samples, s.cutoff) == (PACE.samples, PACE.cutoff) and s.error is not None), None)
+    if known is None:
+        return 1.0
+    taken = []
+    for frame, azimuth in _views(run):
+        camera = _camera(run, frame, azimuth, _sizes(size)[1])
+        each = []
+        for _ in range(1 + REPEATS):
+            begun = time.perf_counter()
+            PACE.image(run, frame, camera, geometry)
+            each.append(time.perf_counter() - begun)
+        # The first one may have compiled.
+        taken.append(statistics.median(each[1:]))
+    return float(np.clip(statistics.mean(taken) / known.seconds, 1 / FARTHEST, FARTHEST))
+
+
+def _sizes(size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """The larger and the smaller pictures that are measured for a size."""
+    shrink = min(LARGEST / max(size), 1.0)
+    whole = (max(round(shrink * size[0]), 2), max(round(shrink * size[1]), 2))
+    return whole, (max(whole[0] // 2, 1), max(whole[1] // 2, 1))
+
+
+def _views(run: Run) -> list[tuple[int, float]]:
+    """Frames and azimuths that are looked from."""
+    frames = [int(run.poses.frames[i * (len(run.poses.frames) - 1) // max(len(AZIMUTHS) - 1, 1)]) for i in range(len(AZIMUTHS))]
+    return list(zip(frames, AZIMUTHS, strict=True))
 
 
 def _camera(run: Run, frame: int, azimuth: float, pixels: tuple[int, int]) -> Camera:

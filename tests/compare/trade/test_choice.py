@@ -121,7 +121,42 @@ def counted(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     made = []
     monkeypatch.setattr(profile, "measure", lambda *a: made.append(a) or known_profile(0.01, 1e-7, error=3e-2))
+    monkeypatch.setattr(choice, "pace", lambda *a: 1.0)
     return made
+
+
+def test_a_pace_is_that_of_the_profiles_own_pictures(trained_run, monkeypatch):
+    """A clock that goes by a second a picture, and now by three."""
+    clock = {"now": 0.0, "each": 1.0}
+
+    def image(self, *_):
+        clock["now"] += clock["each"]
+        return drawn
+
+    drawn = profile.PACE.image(trained_run, int(trained_run.poses.frames[0]), profile._camera(trained_run, 0, 0.0, (8, 8)))
+    monkeypatch.setattr(Setting, "image", image)
+    monkeypatch.setattr(profile.time, "perf_counter", lambda: clock["now"])
+    monkeypatch.setattr(profile, "converged", lambda: Setting(64))
+    monkeypatch.setattr("ndf_mi.render.image.Image.over", lambda self, background: np.zeros((8, 8, 3)))
+    monkeypatch.setattr(profile.metrics, "box_mask", lambda camera, vertices: np.ones((8, 8), bool))
+    measured = profile.measure(trained_run, (16, 16), False, lambda text: None)
+    assert all(sample.seconds == 1.0 for sample in measured.samples)
+    assert profile.pace(trained_run, (16, 16), False, measured) == pytest.approx(1.0)
+    clock["each"] = 3.0
+    assert profile.pace(trained_run, (16, 16), False, measured) == pytest.approx(3.0)
+    clock["each"] = 1e6
+    assert profile.pace(trained_run, (16, 16), False, measured) == profile.FARTHEST
+
+
+def test_a_slower_machine_gets_less(trained_run, counted, monkeypatch, tmp_path):
+    frame = int(trained_run.poses.frames[0])
+    camera = profile._camera(trained_run, frame, 0.0, (32, 32))
+    found = []
+    for slower in (1.0, 3.0):
+        monkeypatch.setattr(choice, "pace", lambda *a, slower=slower: slower)
+        found.append(choice.choose(trained_run, frame, camera, False, lambda text: None, budget=0.05))
+    assert found[1].setting.samples < found[0].setting.samples or found[1].setting.spp < found[0].setting.spp
+    assert all(f.seconds <= 0.05 for f in found)
 
 
 def test_a_profile_is_kept_and_made_anew_where_it_is_stale(make_run, counted, monkeypatch, tmp_path):
