@@ -133,7 +133,8 @@ def test_a_pace_is_that_of_the_profiles_own_pictures(trained_run, monkeypatch):
         clock["now"] += clock["each"]
         return drawn
 
-    drawn = profile.PACE.image(trained_run, int(trained_run.poses.frames[0]), profile._camera(trained_run, 0, 0.0, (8, 8)))
+    frame = int(trained_run.poses.frames[0])
+    drawn = profile.PACE.image(trained_run, frame, profile._camera(trained_run, frame, 0.0, (8, 8)))
     monkeypatch.setattr(Setting, "image", image)
     monkeypatch.setattr(profile.time, "perf_counter", lambda: clock["now"])
     monkeypatch.setattr(profile, "converged", lambda: Setting(64))
