@@ -56,6 +56,9 @@ class Blocks:
         InputError: so many blocks would not fit into memory.
     """
 
+    strata = 1
+    """Looking up needs no more candidate samples than asked for."""
+
     def __init__(self, volume: VolumeField, surface: Surface, vertices: mi.Float, reach: float, cell: float) -> None:
         self.cell = cell
         low, high = (np.array(corner, np.float64).ravel() for corner in (volume.bbox.min, volume.bbox.max))
