@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeVar
 
 import drjit as dr
@@ -14,17 +15,42 @@ T = TypeVar("T", bound=dr.ArrayBase)
 
 
 def expm1(x: T) -> T:
-    """eˣ − 1, without cancellation near 0, as tanh(x/2)·(eˣ + 1). For x ≤ 80; differentiable."""
-    return dr.tanh(0.5 * x) * (dr.exp(x) + 1.0)
+    """eˣ − 1, without cancellation near 0. For x ≤ 80; first derivatives only.
+
+    By series up to ½, where exp itself may be off by a few of its last bits (on GPUs it is an approximation, and so is tanh, by 1e-5).
+    """
+    detached = dr.detach(x)
+    value = dr.select(dr.abs(detached) < 0.5, detached * _exprel(detached), dr.exp(detached) - 1.0)
+    return dr.replace_grad(value, dr.exp(x))
+
+
+def saturated(a: T, limit: float) -> T:
+    """limit·(1 − e^(−a/limit)) for a ≥ 0: a itself where it is small, down to the least numbers that there are, and never above `limit`.
+    First derivatives only."""
+    x = dr.detach(a) * (1.0 / limit)
+    value = dr.select(x < 0.5, dr.detach(a) * _exprel(-x), limit * (1.0 - dr.exp(-x)))
+    return dr.replace_grad(value, -limit * dr.exp(a * (-1.0 / limit)))
+
+
+def _exprel(x: T) -> T:
+    """(eˣ − 1) / x up to |x| = ½, by the first terms of its series."""
+    value = dr.full(type(x), 1 / math.factorial(9), 1)
+    for k in range(8, 0, -1):
+        value = dr.fma(value, x, 1 / math.factorial(k))
+    return value
 
 
 def log1p(x: T) -> T:
-    """ln(1 + x) for x ≥ 0, accurate near 0 (Kahan's correction). The derivative is that of ln(1 + x) as it stands, where nothing
-    cancels."""
+    """ln(1 + x) for x ≥ 0, accurate near 0: up to 1 by the series of 2·artanh(x / (2 + x)), since the logarithm of a number near 1 is an
+    approximation on GPUs. The derivative is that of ln(1 + x) as it stands, where nothing cancels."""
     detached = dr.detach(x)
-    u = 1.0 + detached
-    rounded = u == 1.0
-    value = dr.select(rounded, detached, dr.log(u) * (detached / dr.select(rounded, 1.0, u - 1.0)))
+    near = detached < 1.0
+    s = dr.select(near, detached, 0.0) / (2.0 + dr.select(near, detached, 0.0))
+    squared = s * s
+    series = dr.full(type(x), 1 / 17, 1)
+    for k in range(7, -1, -1):
+        series = dr.fma(series, squared, 1 / (2 * k + 1))
+    value = dr.select(near, 2.0 * s * series, dr.log(1.0 + detached))
     return dr.replace_grad(value, dr.log(1.0 + x))
 
 

@@ -25,6 +25,10 @@ _MOVED = (
     "the body has moved, and {share:.2g} % of its band lie outside the shells and are not seen. Shells stay where they were made: "
     "load the scene anew at this pose."
 )
+_STALLING = (
+    "gradients of the networks are summed in half precision here, where sums stall after some thousand terms. Take few paths at a time, "
+    "train by `ndf-mi optimise --integrator prbvolpath`, which sums in single precision, or use a CPU"
+)
 _EXCEEDED = (
     "{excess}. Majorants were raised to hold there, but the estimate has missed fine structure: give the `ndf_shell` a smaller "
     "`cell`, or leave `layers` out for the majorant that holds by construction."
@@ -246,6 +250,8 @@ def register() -> None:
         ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
             """(σ_s, σ_n, σ_t) in 1/m, where σ_n is what is missing to the majorant."""
             self._expect_no_gradients()
+            if self._model.bound.half and self._model.bound.attached:
+                self._warn("stalling", _STALLING)
             sample = self._held().fused(mei.p, -mei.wi, active)
             extinction = sample.sigma * self.scale
             return (mi.UnpolarizedSpectrum(extinction * sample.colour), mi.UnpolarizedSpectrum(majorant - extinction),

@@ -79,10 +79,11 @@ def test_symbolic_and_batched_evaluation_agree(run):
     fused = posed.fused(x, d)
     handle, inside = posed.locate(x, mi.Bool(True))
     batched = posed.evaluate(x, d, handle, inside)
-    np.testing.assert_allclose(fused.sigma.numpy(), batched.sigma.numpy(), atol=1e-4)
+    half = posed.bound.half
+    np.testing.assert_allclose(fused.sigma.numpy(), batched.sigma.numpy(), rtol=1e-2 if half else 1e-7, atol=1e-4)
     inside = inside.numpy()
     assert 0.1 < inside.mean() < 0.9 and (fused.sigma.numpy()[~inside] == 0).all()
-    np.testing.assert_allclose(fused.colour.numpy()[:, inside], batched.colour.numpy()[:, inside], atol=1e-5)
+    np.testing.assert_allclose(fused.colour.numpy()[:, inside], batched.colour.numpy()[:, inside], atol=2e-3 if half else 1e-5)
 
 
 def test_networks_run_in_every_form_to_the_same_values(run):

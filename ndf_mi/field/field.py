@@ -18,7 +18,7 @@ from ndf_mi.colour import srgb_to_linear
 from ndf_mi.field.encoding import GridEncoding, frequency
 from ndf_mi.field.layers import Layer, initial_weights, layout
 from ndf_mi.field.presets import Preset
-from ndf_mi.numerics import expm1, softplus
+from ndf_mi.numerics import saturated, softplus
 
 
 class Field:
@@ -122,6 +122,11 @@ class BoundField:
         return self._packed is not None
 
     @property
+    def half(self) -> bool:
+        """Whether :meth:`pack` has laid the weights out in half precision."""
+        return self._packed is not None and self._half
+
+    @property
     def attached(self) -> bool:
         """Whether gradients are being tracked of any weight, of the hash table, or of the pose."""
         tensors = [part.array for pair in self._tensors.values() for part in pair]
@@ -202,7 +207,7 @@ class BoundField:
             a = softplus(z + p.density_bias)
         else:
             a = dr.maximum(z, 0)
-        return -p.density_limit * expm1(a * (-p.density_gain / p.density_limit))
+        return saturated(a * p.density_gain, p.density_limit)
 
     @staticmethod
     def colour(c: mi.Color3f) -> mi.Color3f:

@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from ndf_mi import variants
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.errors import InputError
 from ndf_mi.render.scene import render_scene
@@ -138,9 +139,10 @@ def test_shell_and_cube_bound_the_same_medium(make_run):
     assert a == pytest.approx(b, rel=0.02)
 
 
+@pytest.mark.skipif("single" not in variants.cooperative_precisions(), reason="half precision is all that there is")
 @pytest.mark.parametrize("integrator", ["volpath", pytest.param("prbvolpath", marks=pytest.mark.long)])
-def test_a_medium_takes_half_precision_where_there_is_no_other(make_run, monkeypatch, integrator):
-    """As on GPUs: the same picture but for the rounding, and gradients too."""
+def test_a_medium_takes_half_precision_where_there_is_no_other(make_run, monkeypatch, capfd, integrator):
+    """As on GPUs: the same picture but for the rounding, and gradients too, with a warning."""
     run = make_run(density_limit=20.0, density_gain=10.0)
     images, gradients, halves = [], [], []
     for precisions in (("single", "half"), ("half",)):
@@ -157,6 +159,7 @@ def test_a_medium_takes_half_precision_where_there_is_no_other(make_run, monkeyp
         dr.backward(dr.mean(image, axis=None))
         images.append(image.numpy())
         gradients.append(dr.grad(params["performer.interior_medium.weights"]).numpy())
+        assert ("".join(capfd.readouterr()).count("summed in half precision")) == len(gradients) - 1
     assert halves == [False, True]
     # Paths part where rounding decides otherwise about a collision.
     assert images[0].mean() == pytest.approx(images[1].mean(), rel=0.01) and images[0].std() > 0.01

@@ -12,6 +12,7 @@ from ridge_field import make_ridge, peak_of
 
 from ndf_mi.errors import InputError
 from ndf_mi.render.nested_check import faults, open_edges
+from ndf_mi.variants import cooperative_precisions
 
 RADIUS, BAND, SIZE = 0.3, 0.08, 8
 INTEGRATORS = ["volpath", "volpathmis", "prbvolpath"]
@@ -234,12 +235,18 @@ def test_gradient_under_prbvolpath_agrees_with_the_closed_form(make_run):
     dr.enable_grad(params[key])
     params.update()
     assert all(float(medium.majorant[0]) == pytest.approx(63.0) for medium in media(scene).values())
+    # In half precision, all that GPUs have, sums of more than some thousand paths stall.
+    passes = 1 if "single" in cooperative_precisions() else 16
     gradients = []
     for seed in range(4):
-        dr.set_grad(params[key], 0)
-        image = mi.render(scene, params, spp=16, spp_grad=128, seed=2 * seed, seed_grad=2 * seed + 1)
-        dr.backward(dr.mean(image, axis=None))
-        gradients.append(dr.grad(params[key]).numpy()[peak_of(run)])
+        found = []
+        for part in range(passes):
+            dr.set_grad(params[key], 0)
+            one = 2 * (seed * passes + part)
+            image = mi.render(scene, params, spp=16, spp_grad=128 // passes, seed=one, seed_grad=one + 1)
+            dr.backward(dr.mean(image, axis=None))
+            found.append(dr.grad(params[key]).numpy()[peak_of(run)])
+        gradients.append(np.mean(found))
     gradients = np.array(gradients, dtype=np.float64)
     step = 0.02
     around = [through(make_ridge(make_run, "other", peak=-1.5 + sign * step, density_limit=60.0)[1]) for sign in (1, -1)]

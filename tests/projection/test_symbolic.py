@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import trimesh
 
 RECORDS = 1 << 15
 
@@ -94,7 +95,11 @@ def test_inside_a_medium_under_volpath(mesh: Any) -> None:
     np.testing.assert_array_equal(rows[:, 7] > 0, valid)
     np.testing.assert_allclose(rows[valid, 3], np.asarray(p.l)[valid], atol=1e-6)
     same = rows[valid, 6].astype(int) == np.asarray(p.triangle)[valid]
-    assert same.mean() > 0.99
+    # Closest to an edge or a vertex are all the triangles there, and roundings choose among them.
+    corners = mesh.vertices[mesh.faces[rows[valid, 6].astype(int)[~same]]]
+    off = rows[valid, :3][~same] - trimesh.triangles.closest_point(corners, rows[valid, :3][~same])
+    np.testing.assert_allclose(np.linalg.norm(off, axis=1), np.abs(rows[valid, 3][~same]), atol=1e-6)
+    assert same.mean() > 0.9
     np.testing.assert_allclose(rows[valid, 4:6][same], np.asarray(p.uv).T[valid][same], atol=1e-5)
 
 
