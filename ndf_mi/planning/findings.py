@@ -89,8 +89,10 @@ def about_band(found: Standoff, detail: Detail, settings: Settings, full: Preset
     """How far does the surface stand off the body?"""
     allowed = settings.allowed * found.pixels
     outside, inside = found.outside.reach(allowed), found.inside.reach(allowed)
-    # A mask says of a pixel what is anywhere in it.
-    band = _ceil(max(outside, detail.footprint / 2) / _USABLE)
+    # Pixels blur outlines by half their width to either side, which the field along their rays must hold: without room for it, tight
+    # clothes under pixels of 24 mm cost 0.9 dB.
+    half = detail.footprint / 2
+    band = _ceil((max(outside, half) + half) / _USABLE)
     deep = _ceil(inside + math.log(1 / _TRANSPARENT) / full.density_limit / (1 - full.band_fade))
     band, deep = max(band, deep), min(deep, full.band)
     evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the body and bodies {1e3 * inside:.0f} mm beyond the masks, where what lies "
