@@ -188,7 +188,10 @@ class BoundField:
 
         for i in range(len(p.colour_linear)):
             h = run.linear(f"linear{i}", h)
-        seen = frequency(list(d), p.direction_octaves) if p.direction_octaves >= 0 else []
+        seen: list[mi.Float] = []
+        if p.direction_octaves >= 0:
+            towards = dr.fma(-2.0 * dr.dot(d, n), mi.Vector3f(n), d) if p.direction == "mirrored" else d
+            seen = frequency(list(towards), p.direction_octaves)
         if p.normal_octaves >= 0:
             seen += frequency(list(n), p.normal_octaves)
         h = run.enter(h, seen)

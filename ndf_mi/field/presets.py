@@ -91,6 +91,10 @@ class Preset:
     direction_octaves: int = 2
     """Octaves of γ on the view direction; −1 leaves it out: a part of the surface then has the same colour from everywhere."""
 
+    direction: Literal["view", "mirrored"] = "view"
+    """What enters in its place: the view direction as in the paper, or its reflection by the body's normal, along which highlights stay
+    where they are while the viewer and the body turn (Verbin et al. 2022, *Ref-NeRF*)."""
+
     normal_octaves: int = -1
     """Octaves of γ on the world-space normal of the body's surface, which then enters the colour network beside the view direction, so
     that light which stays in the world while the performer turns need not be learnt from poses; −1 leaves it out."""
@@ -131,6 +135,7 @@ class Preset:
         check(len(self.colour_linear) != 1, "colour_linear", "no layers, or at least two: the pose joins at the second")
         for key in ("normal_octaves", "direction_octaves"):
             check(-1 <= getattr(self, key) <= 1024, key, "-1, or a whole number up to 1024")
+        check(self.direction in ("view", "mirrored"), "direction", "view or mirrored")
         check(0 <= self.density_skip < len(self.density_layers), "density_skip",
               f"0, or a number below the {len(self.density_layers)} density layers")
         check(self.encoding in ("frequency", "grid"), "encoding", "frequency or grid")

@@ -22,8 +22,8 @@ STAGES = ("images", "light", "view", "pose", "silhouettes", "detail")
 
 
 def full_model() -> Preset:
-    """The model that nothing is left out of: `fast`, with the view direction, which its makers leave to glossy performers."""
-    return dataclasses.replace(preset("fast"), name="full", direction_octaves=2)
+    """The model that nothing is left out of: `fast`, with the mirrored view direction, which it leaves to glossy performers."""
+    return dataclasses.replace(preset("fast"), name="full", direction_octaves=2, direction="mirrored")
 
 
 def plan(capture: Capture, settings: Settings = Settings(), stage: Callable[[str], None] = lambda name: None) -> Plan:  # noqa: B008

@@ -55,7 +55,8 @@ class Network64:
         for i in range(len(p.colour_linear)):
             h = self._linear(f"linear{i}", h)
         if p.direction_octaves >= 0:
-            h = np.concatenate([h, gamma(d, p.direction_octaves)], 1)
+            towards = d - 2 * (d * n).sum(1, keepdims=True) * n if p.direction == "mirrored" else d
+            h = np.concatenate([h, gamma(towards, p.direction_octaves)], 1)
         if p.normal_octaves >= 0:
             h = np.concatenate([h, gamma(n, p.normal_octaves)], 1)
         for i in range(len(p.colour_layers)):

@@ -214,3 +214,27 @@ def test_the_direction_changes_colour_alone_and_only_where_the_preset_says_so():
         there, back = (evaluate(field, u, sign * d, pose, "batched") for sign in (1, -1))
         assert dr.all(there[0] == back[0])
         assert (np.abs(np.array(there[1]) - np.array(back[1])).max() > 1e-4) == (octaves >= 0)
+
+
+def test_the_mirrored_direction_is_what_highlights_follow():
+    """Colours are those of the direction that light comes from by reflection, however viewer and surface share the turning."""
+    u, d, pose = inputs()
+    colours = {}
+    for kind in ("mirrored", "view"):
+        field = Field(dataclasses.replace(preset("tiny"), direction=kind, normal_octaves=-1), JOINTS, 3)
+        bound = field.bind(mi.Float(pose.astype(np.float32)))
+        found = []
+        for normal in ((0.0, 0.0, 1.0), (0.6, 0.0, -0.8)):
+            n = np.array(normal)[:, None]
+            viewed = d - 2 * (d * n).sum(0) * n
+            _, colour = bound.batched(mi.Point3f(u.astype(np.float32)), mi.Vector3f(viewed.astype(np.float32)), mi.Normal3f(*normal))
+            found.append(colour.numpy())
+        colours[kind] = np.abs(found[0] - found[1]).max()
+    assert colours["mirrored"] < 1e-5 and colours["view"] > 1e-3
+
+
+@pytest.mark.parametrize("name", ["fast", "paper"])
+def test_presets_written_before_there_was_a_choice_take_the_view_direction(name):
+    values = preset(name).to_dict()
+    del values["direction"]
+    assert Preset.from_dict(values) == preset(name)
