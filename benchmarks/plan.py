@@ -9,7 +9,7 @@ the capture is made to need the planned one without it, and for each finding nam
 finding took away. With `--seeds` all of it is trained so many times, from other weights and along other rays. Prints for each capture
 what the plan left out, the held-out box PSNR of each model and its difference to the full one's, medians of seconds a training step and
 an image, and their ratios to the full model's; and at the end which of the promises are kept: a planned model is at most 0.1 dB worse
-than the full one, and where parts could be left out takes at most 60 % of its time; what is needed is kept, and costs more than 0.1 dB
+than the full one, and on captures that need no part takes at most 60 % of its time; what is needed is kept, and costs more than 0.1 dB
 where it is left out.
 
 A difference has two standard errors: over the held-out images, of its mean over the trainings, which says how far it holds for other
@@ -67,7 +67,7 @@ BAND = {"band": 0.037, "band_inside": 0.016}
 PARTS: dict[str, dict[str, Any]] = {
     "pose": {"pose_layers": (), "deformation_layers": ()},
     "light": {"normal_octaves": -1},
-    "view": {"direction_octaves": -1},
+    "view": {"direction_octaves": -1, "direction": "view"},
     "band": BAND,
 }
 """What leaving a part out changes in a preset."""
@@ -272,7 +272,7 @@ def shown(name: str, made: Made, found: Plan, rows: list[Summary], options: Opti
            "band": p.band > 1.5 * BAND["band"]}
     verdicts = [_verdict(name, f"{part} is {'kept' if has[part] else 'left out'}", has[part] == (part in made.needs)) for part in PARTS]
     verdicts.append(_verdict(name, f"planned {_told(planned, full)} to the full model", planned.to(full)[0] >= -WORTH))
-    for what, ratio in (("training", planned.step / full.step), ("rendering", planned.image / full.image)):
+    for what, ratio in (("training", planned.step / full.step), ("rendering", planned.image / full.image)) if not made.needs else ():
         verdicts.append(_verdict(name, f"{what} in {100 * ratio:.0f} % of the full model's time", ratio <= SHARE))
     for row in rows[2 : 2 + len(made.needs)]:
         verdicts.append(_verdict(name, f"{row.model} {_told(row, planned)} to the planned one", row.to(planned)[0] < -WORTH))

@@ -136,6 +136,7 @@ class Preset:
         for key in ("normal_octaves", "direction_octaves"):
             check(-1 <= getattr(self, key) <= 1024, key, "-1, or a whole number up to 1024")
         check(self.direction in ("view", "mirrored"), "direction", "view or mirrored")
+        check(self.direction == "view" or self.direction_octaves >= 0, "direction", "view, or direction_octaves from 0 on")
         check(0 <= self.density_skip < len(self.density_layers), "density_skip",
               f"0, or a number below the {len(self.density_layers)} density layers")
         check(self.encoding in ("frequency", "grid"), "encoding", "frequency or grid")
@@ -152,8 +153,10 @@ class Preset:
         return 4 if self.coordinates == "surface" else 3
 
     def to_dict(self) -> dict[str, Any]:
-        """The options as JSON-ready values."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(self).items()}
+        """The options as JSON-ready values; those that were added later only where they are not what was before, so that files and digests
+        of older presets stay theirs."""
+        values = {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(self).items()}
+        return {k: v for k, v in values.items() if (k, v) != ("direction", "view")}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "preset") -> Preset:

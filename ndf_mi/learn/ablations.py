@@ -52,7 +52,7 @@ ABLATIONS: dict[str, Ablation] = {
     "no-projection": Ablation(
         "without projection", "(x, y, z) in place of (u, v, l); nothing of the closest point reaches a network, and the pose, by which "
         "alone they know where the body is, has no noise",
-        {"coordinates": "world", "normal_octaves": -1}, {"pose_noise": 0.0},
+        {"coordinates": "world", "normal_octaves": -1, "direction": "view"}, {"pose_noise": 0.0},
     ),
     "no-deform": Ablation("without deformation", "no deformation net between projection and field", {"deformation_layers": ()}),
     "one-piece": Ablation("one-piece atlas", "the body is cut open into one chart of texture coordinates", training={"atlas": "one-piece"}),

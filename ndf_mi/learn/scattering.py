@@ -50,8 +50,8 @@ def relightable(preset: Preset) -> tuple[Preset, list[str]]:
     The colours of such a field are its own: inputs that say where light comes from, or where the viewer is, are left out. Its density is
     above 0 wherever the networks decide: gradients through scattering are biased where it is 0.
     """
-    changes: dict[str, Any] = {"direction_octaves": -1, "normal_octaves": -1, "density_limit": min(preset.density_limit, DENSITY_LIMIT),
-                               "density_activation": "softplus"}
+    changes: dict[str, Any] = {"direction_octaves": -1, "direction": "view", "normal_octaves": -1,
+                               "density_limit": min(preset.density_limit, DENSITY_LIMIT), "density_activation": "softplus"}
     changed = [f"{key}={value if isinstance(value, str) else format(value, 'g')}"
                for key, value in changes.items() if getattr(preset, key) != value]
     return dataclasses.replace(preset, **changes), changed

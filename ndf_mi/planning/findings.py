@@ -58,8 +58,9 @@ def about_view(estimate: Estimate, settings: Settings, full: Preset) -> Finding:
     return Finding(
         "view", "does appearance change with the view?",
         _told(estimate, settings, "highlights by the mirrored direction explain", "cameras", "it takes three cameras to tell"),
-        "the view direction enters the colour" if keep else "a part of the surface has one colour from everywhere",
-        "" if keep else "the view branch", _figures(estimate, settings), {"direction_octaves": full.direction_octaves if keep else -1})
+        "the view direction, mirrored by the normal, enters the colour" if keep else "a part of the surface has one colour from everywhere",
+        "" if keep else "the view branch", _figures(estimate, settings),
+        {"direction_octaves": full.direction_octaves if keep else -1, "direction": full.direction if keep else "view"})
 
 
 def about_pose(moved: float, frame: Estimate, within: Estimate, detail: Detail, settings: Settings, full: Preset) -> Finding:
@@ -94,9 +95,10 @@ def about_band(found: Standoff, detail: Detail, settings: Settings, full: Preset
     half = detail.footprint / 2
     band = _ceil((max(outside, half) + half) / _USABLE)
     deep = _ceil(inside + math.log(1 / _TRANSPARENT) / full.density_limit / (1 - full.band_fade))
-    band, deep = max(band, deep), min(deep, full.band)
+    band, deep = max(band, _ceil(deep / _USABLE)), min(deep, full.band)
     evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the body and bodies {1e3 * inside:.0f} mm beyond the masks, where what lies "
-                f"further costs less than {settings.worth:g} dB; a pixel spans {1e3 * detail.footprint:.0f} mm")
+                f"further costs less than {settings.worth:g} dB; a pixel spans {1e3 * detail.footprint:.0f} mm, by half of which its blur "
+                "reaches further")
     if outside >= REACH:
         evidence += f"; what stands off further than {1e3 * REACH:.0f} mm was not looked for"
     thinner = band + deep < full.band + full.band_inside

@@ -72,10 +72,16 @@ class View:
     body: np.ndarray
 
 
+#: Pixels of all images looked at together: they are held at once, the body's with some 250 bytes each.
+MOST_PIXELS = 100_000_000
+
+
 def chosen_frames(capture: Capture, most: int) -> tuple[int, ...]:
-    """At most so many of the training frames, evenly spaced."""
+    """At most so many of the training frames, evenly spaced; fewer where their images have more pixels than :data:`MOST_PIXELS`, though two
+    where there are two."""
     frames = capture.splits["train"].frames
-    count = min(most, len(frames))
+    pixels = sum(capture.cameras[name].w * capture.cameras[name].h for name in capture.splits["train"].cameras)
+    count = min(most, len(frames), max(2, MOST_PIXELS // max(pixels, 1)))
     return tuple(frames[i] for i in np.floor((np.arange(count) + 0.5) / max(count, 1) * len(frames)).astype(int))
 
 

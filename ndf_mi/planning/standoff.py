@@ -16,6 +16,8 @@ from ndf_mi.projection import Surface
 REACH = 0.25
 #: Points along a ray that distances are taken at: a centimetre or two apart, which errs by a millimetre where the distance is a centimetre.
 _POINTS = 160
+#: Rays looked along at a time.
+_RAYS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,9 @@ def standoff(capture: Capture, frames: Sequence[int], views: Sequence[View]) -> 
                 y, x = np.divmod(pixels, camera.w)
                 ray = camera.rays(mi.Point2f(mi.Float(x), mi.Float(y)) + 0.5)
                 origin, direction = np.array(ray.o).T.astype(np.float64), np.array(ray.d).T.astype(np.float64)
-                distance = _closest(posed, np.broadcast_to(origin, direction.shape), direction, low, high)
+                origin = np.broadcast_to(origin, direction.shape)
+                distance = np.concatenate([_closest(posed, origin[i : i + _RAYS], direction[i : i + _RAYS], low, high)
+                                           for i in range(0, len(pixels), _RAYS)])
                 colour = view.image.reshape(-1, 3)[pixels]
                 cost = np.mean((colour - capture.background) ** 2, axis=1) if beside else np.full(len(pixels), contrast)
                 parts[beside].append((np.maximum(distance if beside else -distance, 0), cost))

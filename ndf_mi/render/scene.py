@@ -36,6 +36,9 @@ def render_scene(
         spp: samples a pixel; 0 for the sampler's own.
         size: width and height in pixels, or the film's own.
 
+    Raises:
+        InputError: there is no such sensor, the integrator cannot render the scene, or pixels are not finite.
+
     Returns:
         All channels by name, each (h, w) float32, and the radiance as (h, w, 3) sRGB clipped to [0, 1].
     """
@@ -58,6 +61,10 @@ def render_scene(
         raise InputError("scene", f"one that its integrator cannot render: {_plainly(error)}", "another integrator or scene") from None
     bitmap = sensors[sensor].film().bitmap(raw=False)
     array = np.array(bitmap, dtype=np.float32)
+    broken = np.count_nonzero(~np.isfinite(array).all(-1))
+    if broken:
+        raise InputError("scene", f"NaN or infinity in {broken} pixels", "a finite picture",
+                         "Of performers, it is what hidden values above 65,504 give where networks run in half precision, as on GPUs.")
     names = [field.name for field in bitmap.struct_()]
     channels = {name: array[..., i] for i, name in enumerate(names)}
     colour = np.stack([channels[n] for n in "RGB"], axis=-1) if "R" in channels else np.repeat(array[..., :1], 3, axis=-1)

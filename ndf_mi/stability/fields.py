@@ -72,7 +72,7 @@ class Scaled:
     """
 
     def __init__(self) -> None:
-        shape = dataclasses.replace(preset("tiny"), encoding="frequency", octaves=3, deformation_scale=0.1)
+        shape = dataclasses.replace(preset("tiny"), encoding="frequency", octaves=3, deformation_scale=0.1, direction="mirrored")
         self.field = Field(shape, JOINTS, seed=2)
         rng = np.random.default_rng(3)
         count = 64

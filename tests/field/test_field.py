@@ -236,5 +236,11 @@ def test_the_mirrored_direction_is_what_highlights_follow():
 @pytest.mark.parametrize("name", ["fast", "paper"])
 def test_presets_written_before_there_was_a_choice_take_the_view_direction(name):
     values = preset(name).to_dict()
-    del values["direction"]
-    assert Preset.from_dict(values) == preset(name)
+    assert "direction" not in values and Preset.from_dict(values) == preset(name)
+
+
+def test_a_direction_that_nothing_takes_is_refused():
+    with pytest.raises(InputError, match="direction_octaves"):
+        dataclasses.replace(preset("fast"), direction="mirrored")
+    mirrored = dataclasses.replace(preset("fast"), direction="mirrored", direction_octaves=2)
+    assert Preset.from_dict(mirrored.to_dict()) == mirrored

@@ -99,7 +99,7 @@ def test_a_part_is_kept_where_it_is_there_beyond_doubt_and_worth_it() -> None:
         for about in (findings.about_light, findings.about_view):
             finding = about(Estimate(value, error), settings, full)
             assert (not finding.left_out) == kept
-    assert findings.about_view(UNTOLD, settings, full).changes == {"direction_octaves": -1}
+    assert findings.about_view(UNTOLD, settings, full).changes == {"direction_octaves": -1, "direction": "view"}
     assert findings.worth(Estimate(1e-3, 0), settings) == pytest.approx(10 * np.log10(2))
 
 
@@ -108,7 +108,7 @@ def test_what_one_finding_took_away_can_be_put_back_alone(planned: Plan) -> None
     network = {"colour_layers", "feature_width"}
     # What enters the colour brings the colour network back: nothing would be made of it otherwise.
     for key, changed in (("pose", {"pose_layers", "deformation_layers"} | network), ("light", {"normal_octaves"} | network),
-                         ("view", {"direction_octaves"} | network), ("band", {"band", "band_inside"}), ("colour", network)):
+                         ("view", {"direction_octaves", "direction"} | network), ("band", {"band", "band_inside"}), ("colour", network)):
         preset = put_back(planned, key)
         different = {field.name for field in dataclasses.fields(Preset) if getattr(preset, field.name) != getattr(left_out, field.name)}
         assert different == changed | {"name"}
@@ -121,8 +121,8 @@ def test_what_one_finding_took_away_can_be_put_back_alone(planned: Plan) -> None
 def test_parts_left_out_have_no_weights_and_no_operations() -> None:
     full = dataclasses.replace(full_model(), grid_entries=2**10, grid_levels=2)
     sizes, operations = [], []
-    for changes in ({}, {"pose_layers": (), "deformation_layers": ()}, {"direction_octaves": -1}, {"normal_octaves": -1},
-                    {"colour_layers": (), "feature_width": 0}):
+    for changes in ({}, {"pose_layers": (), "deformation_layers": ()}, {"direction_octaves": -1, "direction": "view"},
+                    {"normal_octaves": -1}, {"colour_layers": (), "feature_width": 0}):
         full = dataclasses.replace(full, **changes)
         field = Field(full, joints=3)
         bound = field.bind(mi.Float(np.zeros(9, np.float32)))

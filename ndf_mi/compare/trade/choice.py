@@ -13,7 +13,7 @@ from ndf_mi.compare.methods.ndf import read_history
 from ndf_mi.compare.trade.cost import CostModel
 from ndf_mi.compare.trade.profile import Key, pace, profile_of
 from ndf_mi.compare.trade.setting import Setting
-from ndf_mi.compare.trade.sight import Sight, look
+from ndf_mi.compare.trade.sight import look
 from ndf_mi.errors import InputError
 from ndf_mi.json_input import is_finite
 from ndf_mi.learn.options import TrainingOptions
@@ -22,9 +22,10 @@ from ndf_mi.render.image import Image
 from ndf_mi.run import Run
 
 #: Samples a ray that are offered: multiples of four, which is how many rounds a ray is looked at in, and no more than times need to be met
-#: closely, since each number compiles kernels of its own. More than the last are no better to the eye; what time is left goes into more
-#: rays a pixel, which smooth edges.
-SAMPLES = (*range(4, 32, 4), *range(32, 64, 8), *range(64, 128, 16), *range(128, 256, 32), *range(256, 513, 64))
+#: closely, since each number compiles kernels of its own. Never more rays a pixel: fields are trained through pixels' centres, and
+#: pictures of several rays are further from the truth.
+SAMPLES = (*range(4, 32, 4), *range(32, 64, 8), *range(64, 128, 16), *range(128, 256, 32), *range(256, 512, 64), *range(512, 1024, 64),
+           *range(1024, 2048, 128), *range(2048, 4097, 256))
 #: How far off the time asked for a picture may be.
 TOLERANCE = 0.2
 #: How far off the profile's a pace is worth a word.
@@ -145,9 +146,12 @@ def choose(run: Run, frame: int, camera: Camera, geometry: bool, tell: Callable[
     if not 1 / (1 + PACE_TOLD) <= slower <= 1 + PACE_TOLD:
         tell(f"pictures take {slower:.2g} times as long now as when the profile was measured")
     found = [Choice(setting, slower * model.seconds(setting, sight), *_believed(model.error(setting), own))
-             for setting in _offered(model, sight, None if budget is None else budget / slower)]
+             for setting in offered(model)]
     if budget is not None:
-        return within_budget(found, budget)
+        best = within_budget(found, budget)
+        if best.setting.samples == SAMPLES[-1] and best.seconds < budget / (1 + TOLERANCE):
+            tell(f"more than {best.seconds:.3g} s buy nothing at this size")
+        return best
     assert error is not None
     return within_error(found, error)
 
@@ -179,8 +183,7 @@ def within_budget(choices: list[Choice], budget: float) -> Choice:
         least = min(choices, key=lambda choice: choice.seconds)
         raise InputError("--budget", f"{budget:g} s", f"at least {_up(least.seconds)} s for a picture of this size on this machine",
                          "A smaller --size takes less.")
-    most = max(choice.setting.spp for choice in fitting)
-    return max((c for c in fitting if c.setting.spp == most), key=lambda c: (c.psnr, -c.seconds))
+    return max(fitting, key=lambda c: (c.psnr, -c.seconds))
 
 
 def within_error(choices: list[Choice], error: float) -> Choice:
@@ -192,16 +195,9 @@ def within_error(choices: list[Choice], error: float) -> Choice:
     return min(fitting, key=lambda choice: choice.seconds)
 
 
-def _offered(model: CostModel, sight: Sight, budget: float | None) -> Iterator[Setting]:
-    """One ray a pixel; and where a budget is more than its dearest picture takes, as many rays as fill it."""
-    yield from (Setting(samples, cutoff) for cutoff in model.cutoffs for samples in SAMPLES)
-    dearest = Setting(SAMPLES[-1], min(model.cutoffs))
-    if budget is None or model.seconds(dearest, sight) >= budget:
-        return
-    each = model.seconds(dearest, sight) - float(model.coefficients[0])
-    rays = math.ceil((budget - float(model.coefficients[0])) / each) if each > 0 else 1
-    if rays > 1:
-        yield from (Setting(samples, dearest.cutoff, spp=rays) for samples in SAMPLES)
+def offered(model: CostModel) -> Iterator[Setting]:
+    """What a picture may be drawn with: one ray a pixel, any of the samples, each early termination whose error is known."""
+    return (Setting(samples, cutoff) for cutoff in model.cutoffs for samples in SAMPLES)
 
 
 def _believed(error: float, own: float | None) -> tuple[float, float | None]:

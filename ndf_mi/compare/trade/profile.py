@@ -102,7 +102,8 @@ class Profile:
 def code_digest() -> str:
     """SHA-256 (hex) over the sources that pictures are made by: versions alone do not tell what is being worked on."""
     package = Path(ndf_mi.__file__).parent
-    parts = [package / name for name in ("render", "field", "projection", "model.py", "numerics.py")]
+    names = ("render", "field", "projection", "model.py", "numerics.py", "coordinates.py", "colour.py", "variants.py")
+    parts = [package / name for name in names]
     sources = [file for part in parts for file in ([part] if part.is_file() else sorted(part.rglob("*.py")))]
     state = hashlib.sha256()
     for file in sources:
