@@ -285,3 +285,20 @@ def test_wrong_parameters_of_the_integrator_are_named(make_run):
     empty = mi.load_dict({"type": "scene", "integrator": {"type": "ndf_quadrature"}, "sensor": {"type": "perspective"}})
     with pytest.raises(InputError, match="0 `ndf` media"):
         render_scene(empty)
+
+
+@pytest.mark.parametrize("integrator", ["volpath", "ndf_path"])
+def test_a_picture_in_which_half_precision_overflowed_is_refused(make_run, monkeypatch, integrator):
+    """Under `ndf_path`, which takes no cooperative vectors, the same field is finite."""
+    monkeypatch.setattr("ndf_mi.variants.cooperative_precisions", lambda: ("half",))
+    monkeypatch.setattr("ndf_mi.variants.fused_width", lambda: 0)
+    run = make_run()
+    run.model.field.weights = 1e4 * run.model.field.weights
+    run.save()
+    scene = scene_of(run, integrator, size=8, max_depth=3)
+    if integrator == "volpath":
+        with pytest.raises(InputError, match="NaN or infinity"):
+            render_scene(scene, spp=4)
+    else:
+        channels, _ = render_scene(scene, spp=1)
+        assert all(np.isfinite(channel).all() for channel in channels.values())

@@ -24,6 +24,7 @@ from ndf_mi.compare.trade import points
 from ndf_mi.compare.trade.drawing import Drawing
 from ndf_mi.compare.trade.memory import peak_memory
 from ndf_mi.compare.trade.points import OWN, RUN, PathSetting, Point, Variant
+from ndf_mi.compare.trade.profile import code_digest
 from ndf_mi.compare.trade.report import write_trade_report
 from ndf_mi.compare.trade.results import TRUTH, Figures, Row, Trade
 from ndf_mi.compare.trade.setting import Setting
@@ -257,7 +258,8 @@ class TradeStudy:
     def _time(self, tell: Told) -> None:
         """Times every point once a repeat, all of them in one view after another, in an order drawn anew: what else the machine does, and
         what it does of itself, hits all alike. Kernels are compiled in a round before, which does not count."""
-        conditions = {"machine": machine.describe(), "points": [row.fingerprint for row in self._rows], "timed": self._settings.timed}
+        conditions = {"machine": machine.describe() | {"sources": code_digest()[:12]},
+                      "points": [row.fingerprint for row in self._rows], "timed": self._settings.timed}
         session = _name(conditions)
         if any(row.session != session for row in self._rows):
             for row in self._rows:
