@@ -1,5 +1,5 @@
-"""Whole plans of captures that need a part: a ball that turns in a fixed light, one that shines, one whose pattern follows its pose, and one
-in clothes."""
+"""Whole plans of captures that need a part: a ball that turns in a fixed light, one that shines, one whose pattern follows its pose,
+and one in clothes."""
 
 from __future__ import annotations
 
