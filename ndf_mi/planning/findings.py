@@ -18,6 +18,9 @@ from ndf_mi.planning.standoff import REACH, Standoff
 _TRANSPARENT = 1e-3
 #: Share of the band's outer part where density is held against a field in training, so that the surface must lie within.
 _USABLE = 0.8
+#: Cells of the grid's finest level to a pixel's side. Views and frames cut the body into pixels at other places each, so that together they
+#: show more than one of them does: cells as large as a pixel cost up to 1 dB. Two to a side give no more than this.
+_CELLS = 1.5
 
 
 def worth(estimate: Estimate, settings: Settings) -> float:
@@ -112,10 +115,10 @@ def about_band(found: Standoff, detail: Detail, settings: Settings, full: Preset
 def about_detail(detail: Detail, settings: Settings, full: Preset) -> Finding:
     """How much detail is there, and over how much of the texture's square?"""
     blur = max((factor for factor, lost in detail.lost.items() if lost < settings.allowed), default=1)
-    finest = 1 / max(detail.texel * blur, 1e-9)
+    finest = _CELLS / max(detail.texel * blur, 1e-9)
     finest = int(np.clip(8 * math.ceil(finest / 8), 2 * full.grid_base, full.grid_finest))
     growth = math.log(full.grid_finest / full.grid_base) / (full.grid_levels - 1)
-    levels = int(np.clip(1 + math.ceil(math.log(finest / full.grid_base) / growth - 1e-9), 2, full.grid_levels))
+    levels = int(np.clip(1 + round(math.log(finest / full.grid_base) / growth), 2, full.grid_levels))
     # More entries than the finest level has cells where the performer is seen would serve nothing.
     cells = detail.atlas * finest**2 * max(math.ceil(finest * full.grid_l_scale), 1)
     entries = int(min(full.grid_entries, 2 ** math.ceil(math.log2(max(cells, 2**10)))))
@@ -123,12 +126,13 @@ def about_detail(detail: Detail, settings: Settings, full: Preset) -> Finding:
                 f"cost {_decibels(detail.lost[2], settings):.2f} dB; noise is at most {detail.noise:.4f}; training images show "
                 f"{100 * detail.seen:.0f} % of the body's area, over {100 * detail.atlas:.0f} % of the square")
     fewer = full.grid_levels - levels
-    smaller = (finest, levels, entries) != (full.grid_finest, full.grid_levels, full.grid_entries)
+    smaller = [(fewer > 0, f"{fewer} level{'' if fewer == 1 else 's'}"),
+               (finest < full.grid_finest, f"cells below {1e3 * detail.footprint * blur / _CELLS:.0f} mm"),
+               (entries < full.grid_entries, "entries for what is never seen")]
     return Finding(
         "detail", "how much detail is there, and which parts are ever seen?", evidence,
         f"a grid of {levels} levels up to {finest} cells a side, {entries:,} entries a level",
-        f"{fewer} level{'' if fewer == 1 else 's'}, cells below {1e3 * detail.footprint * blur:.0f} mm, and entries for what is never seen"
-        if smaller else "",
+        _listed([part for is_so, part in smaller if is_so]),
         {"footprint_mm": 1e3 * detail.footprint, "texel": detail.texel, "noise": detail.noise, "seen": detail.seen, "atlas": detail.atlas,
          **{f"blur_{factor}": lost for factor, lost in detail.lost.items()}},
         {"grid_finest": finest, "grid_levels": levels, "grid_entries": entries})
@@ -176,6 +180,11 @@ def _percent(part: Estimate, whole: Estimate) -> str:
 
 def _decibels(error: float, settings: Settings) -> float:
     return float(10 * np.log10(1 + error / settings.floor))
+
+
+def _listed(parts: list[str]) -> str:
+    """a, b and c."""
+    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
 def _ceil(metres: float) -> float:

@@ -162,8 +162,10 @@ class _Caster:
         row = index // width
         ray = camera.rays(mi.Point2f(mi.Float(index - row * width), mi.Float(row)) + 0.5)
         found = self._scene.ray_intersect_preliminary(ray)
-        triangle = np.array(dr.select(found.is_valid(), mi.Int32(found.prim_index), -1))
-        b = np.array(found.prim_uv).T
+        hit = found.is_valid()
+        triangle = np.array(dr.select(hit, mi.Int32(found.prim_index), -1))
+        # What misses leave there is anything, signalling NaN included.
+        b = np.array(dr.select(hit, found.prim_uv, 0)).T
         weights = np.concatenate([1 - b.sum(axis=1, keepdims=True), b], axis=1).astype(np.float64)
         return triangle.reshape(camera.h, camera.w), weights.reshape(camera.h, camera.w, 3)
 

@@ -144,7 +144,7 @@ def gradients_by_path_tracing() -> Iterator[Measured]:
                            error(np.mean(slopes), -truth.slope.mean(), slope_noise))
 
 
-@case("shells contain the whole band", "bodies of 1 mm to 1 km, 0 to 1e3 m from the origin; and cells too small for them",
+@case("shells contain the whole band", "bodies of 1 mm to 1 km, 0 to 1e6 m from the origin; and cells too small for them",
       primal=0.0, gradient=None, relative_to="no point outside")
 def shells() -> Iterator[Measured]:
     """Random points of the band against the solid angle of the shell; a grid that would not fit memory is refused."""
@@ -152,7 +152,7 @@ def shells() -> Iterator[Measured]:
     uv, uv_faces = charts(len(faces))
     for decade in range(-3, 4):
         size = 10.0**decade
-        for place in (0.0, 1e3):
+        for place in (0.0, 1e3, 1e6):
             if np.spacing(np.float32(place)) > 1e-3 * size:
                 continue
             moved = (size * vertices.astype(np.float64) + place * np.array([0.6, -0.8, 0.0])).astype(np.float32)

@@ -19,8 +19,9 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import Field, Preset
 from ndf_mi.planning import findings
 from ndf_mi.planning.appearance import UNTOLD, Estimate
+from ndf_mi.planning.detail import Detail
 from ndf_mi.planning.observations import chosen_frames, observe
-from ndf_mi.planning.plan import Plan, Settings, read_preset
+from ndf_mi.planning.plan import Finding, Plan, Settings, read_preset
 from ndf_mi.planning.planner import full_model, plan, put_back
 from ndf_mi.planning.standoff import Disagreement, standoff
 
@@ -101,6 +102,20 @@ def test_a_part_is_kept_where_it_is_there_beyond_doubt_and_worth_it() -> None:
             assert (not finding.left_out) == kept
     assert findings.about_view(UNTOLD, settings, full).changes == {"direction_octaves": -1, "direction": "view"}
     assert findings.worth(Estimate(1e-3, 0), settings) == pytest.approx(10 * np.log10(2))
+
+
+def test_the_grid_is_finer_than_a_pixel_and_no_finer_than_a_blur_that_costs_nothing() -> None:
+    settings, full = Settings(), full_model()
+
+    def about(texel: float, **lost: float) -> Finding:
+        of_blurs = {2: 1.0, 4: 1.0, 8: 1.0} | {int(name[1:]): value for name, value in lost.items()}
+        return findings.about_detail(Detail(0.01, 0.02, texel, of_blurs, 1.0, 0.5), settings, full)
+
+    coarse, fine, plain = about(0.01), about(0.0034), about(0.01, _2=0.0)
+    # Two thirds of a pixel, within the rounding to whole octets of cells.
+    assert 100 < coarse.changes["grid_finest"] <= 158 < 400 < fine.changes["grid_finest"] <= full.grid_finest
+    assert plain.changes["grid_finest"] <= 83 and plain.changes["grid_levels"] < coarse.changes["grid_levels"] < full.grid_levels
+    assert "0 levels" not in fine.left_out and "level" in coarse.left_out and not about(0.001).left_out
 
 
 def test_what_one_finding_took_away_can_be_put_back_alone(planned: Plan) -> None:
