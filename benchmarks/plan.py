@@ -17,7 +17,7 @@ images of the same capture; and over the trainings, of its mean over the images,
 two seeds to tell.
 
 Rows of a capture and a seed are written to FOLDER/results.json when they are done, and not measured again by a command that compares the
-same models, trained and drawn alike, on the same capture.
+same models, trained and drawn alike, on the same capture, machine and sources.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ from ndf_mi.capture.synthesise.plan import SIZES  # noqa: E402
 from ndf_mi.capture.synthesise.synthesise import synthesise  # noqa: E402
 from ndf_mi.compare import machine, metrics  # noqa: E402
 from ndf_mi.compare.methods.ndf import NeuralField  # noqa: E402
+from ndf_mi.compare.trade.profile import code_digest, sources_digest  # noqa: E402
 from ndf_mi.errors import InputError  # noqa: E402
 from ndf_mi.field import Preset  # noqa: E402
 from ndf_mi.json_input import load_json  # noqa: E402
@@ -92,6 +93,7 @@ CAPTURES = {
     "poses": Made(dataclasses.replace(TIGHT, motion="clips", folds=False), light="flat"),
     "light": Made(dataclasses.replace(TIGHT, motion="turn"), ("light",)),
     "gloss": Made(dataclasses.replace(TIGHT, motion="turn", surface="glossy"), ("light", "view")),
+    "sheen": Made(dataclasses.replace(TIGHT, surface="glossy")),
     "loose": Made(dataclasses.replace(TIGHT, clothes="loose"), ("band",)),
     "folds": Made(Look(surface="matte"), ("pose", "light", "band")),
 }
@@ -185,9 +187,10 @@ def main(options: Options) -> None:
         compared = models(made, found, options.put_back)
         trained = []
         for seed in range(options.seed, options.seed + options.seeds):
-            # All that the rows depend on, but for the machine and the code.
+            # All that the rows depend on.
             of = {"capture": name, "digest": capture.digest, "steps": options.steps, "samples": options.samples, "repeats": options.repeats,
-                  "seed": seed, "models": {model: preset.to_dict() for model, preset in compared.items()}}
+                  "seed": seed, "models": {model: preset.to_dict() for model, preset in compared.items()}, "machine": machine.describe(),
+                  "sources": sources()}
             key = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:20]
             if key not in known:
                 known[key] = {"of": of, "rows": [dataclasses.asdict(row) for row in study(name, capture, compared, options, seed)]}
@@ -195,6 +198,11 @@ def main(options: Options) -> None:
             trained.append([Row(**row) for row in known[key]["rows"]])
         verdicts += shown(name, made, found, [summary(rows) for rows in zip(*trained, strict=True)], options)
     print("\n".join(verdicts))
+
+
+def sources() -> str:
+    """SHA-256 (hex) of the sources that train and draw."""
+    return hashlib.sha256((code_digest() + sources_digest("learn")).encode()).hexdigest()
 
 
 def models(made: Made, found: Plan, back: tuple[str, ...]) -> dict[str, Preset]:

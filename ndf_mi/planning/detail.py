@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.ndimage import binary_erosion, gaussian_filter
@@ -27,6 +27,8 @@ class Detail:
         lost: for 2, 4 and 8, the mean squared error in sRGB of images blurred to detail that many pixels wide, less that of their noise.
         seen: share of the body's area in triangles that some training image shows.
         atlas: share of the texture's square that those triangles cover.
+        parts: share of the area seen of what each joint moves, by its name: of each triangle the joint that moves it most. Empty where the
+            body has no joints.
     """
 
     noise: float
@@ -35,6 +37,7 @@ class Detail:
     lost: dict[int, float]
     seen: float
     atlas: float
+    parts: dict[str, float] = field(default_factory=dict)
 
 
 def detail(body: Body, rest: np.ndarray, seen: Observations, views: Sequence[View]) -> Detail:
@@ -54,7 +57,16 @@ def detail(body: Body, rest: np.ndarray, seen: Observations, views: Sequence[Vie
     # Triangles smaller than a pixel are hit by chance: those around them that lie within a pixel of one that is hit are seen too.
     shown |= _near(corners.mean(axis=1), shown, float(np.median(seen.footprint)))
     return Detail(noise, float(np.quantile(seen.footprint, 0.25)), float(np.quantile(size, 0.25)), _lost(views, noise),
-                  float(area[shown].sum() / area.sum()), min(float(uv_area[shown].sum()), 1.0))
+                  float(area[shown].sum() / area.sum()), min(float(uv_area[shown].sum()), 1.0), _parts(body, area, shown))
+
+
+def _parts(body: Body, area: np.ndarray, shown: np.ndarray) -> dict[str, float]:
+    if body.weights is None or body.joint_names is None:
+        return {}
+    joint = body.weights[body.faces].sum(axis=1).argmax(axis=1)
+    count = len(body.joint_names)
+    seen, every = np.bincount(joint, area * shown, minlength=count), np.bincount(joint, area, minlength=count)
+    return {name: float(seen[i] / every[i]) for i, name in enumerate(body.joint_names) if every[i] > 0}
 
 
 def _areas(corners: np.ndarray) -> np.ndarray:

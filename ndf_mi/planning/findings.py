@@ -21,6 +21,8 @@ _USABLE = 0.8
 #: Cells of the grid's finest level to a pixel's side. Views and frames cut the body into pixels at other places each, so that together they
 #: show more than one of them does: cells as large as a pixel cost up to 1 dB. Two to a side give no more than this.
 _CELLS = 1.5
+#: Share of a part's area from which on it counts as seen.
+_HIDDEN = 0.5
 
 
 def worth(estimate: Estimate, settings: Settings) -> float:
@@ -98,12 +100,16 @@ def about_band(found: Standoff, detail: Detail, settings: Settings, full: Preset
     half = detail.footprint / 2
     band = _ceil((max(outside, half) + half) / _USABLE)
     deep = _ceil(inside + math.log(1 / _TRANSPARENT) / full.density_limit / (1 - full.band_fade))
-    band, deep = max(band, _ceil(deep / _USABLE)), min(deep, full.band)
+    # A band is no deeper than it is wide. What an occluder, or a body that does not fit, takes from the masks is no reason to widen it.
+    deep = min(deep, full.band)
+    driven, band = _ceil(deep / _USABLE) > band, max(band, _ceil(deep / _USABLE))
     evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the body and bodies {1e3 * inside:.0f} mm beyond the masks, where what lies "
                 f"further costs less than {settings.worth:g} dB; a pixel spans {1e3 * detail.footprint:.0f} mm, by half of which its blur "
                 "reaches further")
     if outside >= REACH:
         evidence += f"; what stands off further than {1e3 * REACH:.0f} mm was not looked for"
+    if driven:
+        evidence += "; the band's outer part follows from its inner one"
     thinner = band + deep < full.band + full.band_inside
     return Finding(
         "band", "how far does the surface stand off the body?", evidence,
@@ -125,6 +131,9 @@ def about_detail(detail: Detail, settings: Settings, full: Preset) -> Finding:
     evidence = (f"a pixel spans {1e3 * detail.footprint:.1f} mm, {detail.texel:.4f} of the texture's square; a blur by two pixels would "
                 f"cost {_decibels(detail.lost[2], settings):.2f} dB; noise is at most {detail.noise:.4f}; training images show "
                 f"{100 * detail.seen:.0f} % of the body's area, over {100 * detail.atlas:.0f} % of the square")
+    hidden = sorted((share, name) for name, share in detail.parts.items() if share < _HIDDEN)
+    if hidden:
+        evidence += "; of these less than half: " + ", ".join(f"{name} ({100 * share:.0f} %)" for share, name in hidden)
     fewer = full.grid_levels - levels
     smaller = [(fewer > 0, f"{fewer} level{'' if fewer == 1 else 's'}"),
                (finest < full.grid_finest, f"cells below {1e3 * detail.footprint * blur / _CELLS:.0f} mm"),
@@ -134,7 +143,8 @@ def about_detail(detail: Detail, settings: Settings, full: Preset) -> Finding:
         f"a grid of {levels} levels up to {finest} cells a side, {entries:,} entries a level",
         _listed([part for is_so, part in smaller if is_so]),
         {"footprint_mm": 1e3 * detail.footprint, "texel": detail.texel, "noise": detail.noise, "seen": detail.seen, "atlas": detail.atlas,
-         **{f"blur_{factor}": lost for factor, lost in detail.lost.items()}},
+         **{f"blur_{factor}": lost for factor, lost in detail.lost.items()},
+         **{f"seen_{name}": share for name, share in detail.parts.items()}},
         {"grid_finest": finest, "grid_levels": levels, "grid_entries": entries})
 
 
@@ -162,6 +172,8 @@ def _told(estimate: Estimate, settings: Settings, explains: str, held_out: str, 
         return untold
     where = f" in {held_out} left out" if held_out else ""
     verdict = "" if estimate.sure else ", which is not above zero"
+    if estimate.value < -2 * estimate.error:
+        verdict += " (what is fitted to some makes others worse: errors of geometry outweigh it, if it is there)"
     return (f"{explains} {1e4 * estimate.value:.2f} ± {1e4 * estimate.error:.2f} ·10⁻⁴ of the squared error{where}{verdict}: "
             f"{worth(estimate, settings):.2f} dB at {settings.accuracy:g} dB")
 

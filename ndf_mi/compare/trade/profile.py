@@ -101,8 +101,12 @@ class Profile:
 @functools.cache
 def code_digest() -> str:
     """SHA-256 (hex) over the sources that pictures are made by: versions alone do not tell what is being worked on."""
+    return sources_digest("render", "field", "projection", "model.py", "run.py", "numerics.py", "coordinates.py", "colour.py", "variants.py")
+
+
+def sources_digest(*names: str) -> str:
+    """SHA-256 (hex) over sources of the package: modules and folders by name, each with what is below it."""
     package = Path(ndf_mi.__file__).parent
-    names = ("render", "field", "projection", "model.py", "numerics.py", "coordinates.py", "colour.py", "variants.py")
     parts = [package / name for name in names]
     sources = [file for part in parts for file in ([part] if part.is_file() else sorted(part.rglob("*.py")))]
     state = hashlib.sha256()
