@@ -112,7 +112,8 @@ class Guard:
             raise InputError(
                 f"step {step}", f"{PATIENCE} steps refused of late, because loss, gradient or the weights after it were not finite",
                 "a training that goes on at smaller steps",
-                f"Take a smaller learning rate: it has come down to {self.factor:g} of what was asked for, in vain.")
+                f"The learning rate has come down to {self.factor:g} of what was asked for, in vain: start another run with a smaller one, "
+                "`--option learning_rate=...`.")
         self.factor *= FACTOR
 
 

@@ -136,8 +136,8 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
                 except InputError as error:
                     _leave(trainer)
                     raise InputError(error.where, error.found, error.expected,
-                                     f"{error.mend} The last good state is in {folder}: it can be rendered, and gone on from "
-                                     "by --resume.".lstrip()) from error
+                                     f"{error.mend} The last good state is in {folder}: it can be rendered, and --resume "
+                                     "goes on from it as slowly as it came to be.".lstrip()) from error
                 now = trainer.progress
                 if now.step == taken:
                     bar.console.print(f"step {now.step + 1} is not taken: its gradient, or the weights after it, would not be finite. "

@@ -101,7 +101,8 @@ class Profile:
 @functools.cache
 def code_digest() -> str:
     """SHA-256 (hex) over the sources that pictures are made by: versions alone do not tell what is being worked on."""
-    return sources_digest("render", "field", "projection", "model.py", "run.py", "numerics.py", "coordinates.py", "colour.py", "variants.py")
+    modules = ("model.py", "run.py", "numerics.py", "coordinates.py", "colour.py", "variants.py")
+    return sources_digest("render", "field", "projection", *modules)
 
 
 def sources_digest(*names: str) -> str:
