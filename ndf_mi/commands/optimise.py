@@ -61,7 +61,7 @@ class Optimise:
         capture = Capture.read(self.capture)
         if self.resume:
             given = [name for name in ("steps", "seconds", "seed") if getattr(self, name) is not None]
-            defaults = {"ablation": "full", "integrator": QUADRATURE, "model": None}
+            defaults = {"ablation": "full", "integrator": QUADRATURE, "model": None, "preset": "fast"}
             given += [name for name, default in defaults.items() if getattr(self, name) != default]
             if given or self.option:
                 raise InputError("--resume", f"another option beside it (--{(given or ['option'])[0]})",

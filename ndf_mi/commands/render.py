@@ -52,7 +52,7 @@ class Render:
     of the first two."""
 
     budget: str | None = None
-    """Run: choose --samples, --cutoff and --spp for the best picture in a time such as 0.5s, 300ms or 2min, once kernels are compiled. From
+    """Run: choose --samples and --cutoff for the best picture in a time such as 0.5s, 300ms or 2min, once kernels are compiled. From
     a profile of this machine, which is measured on first use and kept. Pictures are neither --stratified nor drawn by other --networks."""
 
     error: str | None = None
@@ -146,7 +146,7 @@ class Render:
         for wish in ("budget", "error"):
             chosen = [name for name in (*self._turned(), "spp") if getattr(self, name) not in (None, False)]
             if getattr(self, wish) is not None and chosen:
-                why = f"chooses --{chosen[0]}" if chosen[0] in ("samples", "cutoff", "spp") else "knows pictures without it alone"
+                why = f"chooses --{chosen[0]}" if chosen[0] in ("samples", "cutoff") else "knows pictures without it alone"
                 raise InputError(f"--{wish}", f"it together with --{chosen[0]}", f"one of them: --{wish} {why}")
         return (None if self.budget is None else parse_seconds(self.budget), None if self.error is None else parse_decibel(self.error))
 

@@ -9,6 +9,8 @@ from typing import Annotated
 
 import tyro
 
+from ndf_mi.errors import InputError
+
 
 @dataclass
 class Stability:
@@ -42,7 +44,10 @@ class Stability:
 
         if self.out is not None:
             report.check(self.out)
-        chosen = [case for case in suite.cases(self.only) if not (self.quick and case.long)]
+        named = suite.cases(self.only)
+        chosen = [case for case in named if not (self.quick and case.long)]
+        if not chosen:
+            raise InputError("--quick", f"it with --only {' '.join(self.only)}, of which all take long", "one of the two")
         console = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
         if self.list:
             for case in chosen:

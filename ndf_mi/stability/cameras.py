@@ -144,7 +144,8 @@ def gradients_by_path_tracing() -> Iterator[Measured]:
                            error(np.mean(slopes), -truth.slope.mean(), slope_noise))
 
 
-@case("shells contain the whole band", "bodies of 1 mm to 1 km, 0 to 1e6 m from the origin; and cells too small for them",
+@case("shells contain the whole band",
+      "bodies of 1 mm to 1 km at the origin, of 0.1 m on 1e3 m and of 100 m on 1e6 m away; and cells too small for them",
       primal=0.0, gradient=None, relative_to="no point outside")
 def shells() -> Iterator[Measured]:
     """Random points of the band against the solid angle of the shell; a grid that would not fit memory is refused."""

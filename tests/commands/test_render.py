@@ -104,6 +104,7 @@ def test_optimise_and_resume(capture, tmp_path, capsys):
     (["--option", "band=wide"], "a number such as"),
     (["--option", "density_layers=64"], "a list of whole numbers"),
     (["--resume", "--steps", "5"], "--resume"),
+    (["--resume", "--preset", "paper"], "--resume"),
     (["--steps", "0"], "steps"),
 ])
 def test_optimises_mistakes(capture, tmp_path, capsys, arguments, words):

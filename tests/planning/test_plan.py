@@ -23,7 +23,7 @@ from ndf_mi.planning.detail import Detail
 from ndf_mi.planning.observations import chosen_frames, observe
 from ndf_mi.planning.plan import Finding, Plan, Settings, read_preset
 from ndf_mi.planning.planner import full_model, plan, put_back
-from ndf_mi.planning.standoff import Disagreement, standoff
+from ndf_mi.planning.standoff import Disagreement, Standoff, standoff
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +68,20 @@ def test_the_stand_off_is_told_from_the_masks_to_a_pixel(capture: Capture, facto
 def test_what_little_stands_off_far_is_left_out_where_it_costs_little() -> None:
     pixels = Disagreement(np.array([0.05, 0.01, 0.02, 0.01]), np.array([0.1, 0.5, 0.2, 0.5]))
     assert [pixels.reach(allowed) for allowed in (0.0, 0.15, 0.3, 0.35, 2.0)] == [0.05, 0.02, 0.02, 0.01, 0.0]
+
+
+def test_what_masks_lack_inside_the_body_does_not_widen_the_band() -> None:
+    settings, full = Settings(), full_model()
+    fine = Detail(0.01, 0.02, 0.01, {2: 1.0, 4: 1.0, 8: 1.0}, 1.0, 0.5)
+
+    def about(outside: float, inside: float) -> Finding:
+        beside = [Disagreement(np.full(1000, depth), np.full(1000, 1.0)) for depth in (outside, inside)]
+        return findings.about_band(Standoff(beside[0], beside[1], 5000), fine, settings, full)
+
+    usual, hidden = about(0.02, 0.0), about(0.02, 0.2)
+    assert usual.changes["band"] < 0.05 and "follows" not in usual.evidence
+    # Deep in the body the density may go no deeper than in the full model, and a band is as wide as it is deep.
+    assert hidden.changes["band_inside"] <= full.band and hidden.changes["band"] <= 0.101 and "follows" in hidden.evidence
 
 
 def test_nothing_but_training_images_is_looked_at(capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:

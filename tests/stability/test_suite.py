@@ -112,3 +112,9 @@ def test_rows_are_printed_as_they_come(monkeypatch, capsys):
 def test_mistakes_are_named(arguments, capsys):
     assert commands.main(["stability", *arguments]) == 2
     assert arguments[1] in capsys.readouterr().err
+
+
+def test_what_is_quick_and_named_must_leave_something_to_try(capsys):
+    long = next(one.name for one in suite.cases() if one.long)
+    assert commands.main(["stability", "--quick", "--only", long]) == 2
+    assert long in capsys.readouterr().err

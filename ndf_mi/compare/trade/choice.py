@@ -30,6 +30,8 @@ SAMPLES = (*range(4, 32, 4), *range(32, 64, 8), *range(64, 128, 16), *range(128,
 TOLERANCE = 0.2
 #: How far off the profile's a pace is worth a word.
 PACE_TOLD = 0.1
+#: dB of loss below which it is told that more time buys next to nothing.
+TOLD = 0.01
 
 _UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
 
@@ -43,20 +45,24 @@ class Choice:
         seconds: that a picture takes, its kernels compiled.
         psnr: box PSNR in dB against the same field drawn to convergence.
         loss: dB of PSNR against the truth that it gives up to that; None where the field's own error is not known.
+        bound: whether errors of so many samples were not measured, and `psnr` and `loss` are those of the most that were: the one at least
+            so large, the other at most.
     """
 
     setting: Setting
     seconds: float
     psnr: float
     loss: float | None
+    bound: bool = False
 
     def told(self) -> str:
         """For people, in one sentence."""
         s = self.setting
         rays = "one ray" if s.spp == 1 else f"{s.spp} rays"
-        given = "" if self.loss is None else f", {self.loss:.2f} dB of what it reaches against the truth given up"
+        least, most = ("at least ", "at most ") if self.bound else ("", "")
+        given = "" if self.loss is None else f", {most}{self.loss:.2g} dB of what it reaches against the truth given up"
         return (f"{s.samples} samples a ray, {rays} a pixel, rays followed to a transmittance of {s.cutoff:g}: believed to take "
-                f"{self.seconds:.3g} s, {self.psnr:.1f} dB from convergence{given}")
+                f"{self.seconds:.3g} s, {least}{self.psnr:.1f} dB from convergence{given}")
 
 
 def parse_seconds(text: str) -> float:
@@ -145,12 +151,15 @@ def choose(run: Run, frame: int, camera: Camera, geometry: bool, tell: Callable[
     slower = pace(run, (camera.w, camera.h), geometry, profile) if budget is not None else 1.0
     if not 1 / (1 + PACE_TOLD) <= slower <= 1 + PACE_TOLD:
         tell(f"pictures take {slower:.2g} times as long now as when the profile was measured")
-    found = [Choice(setting, slower * model.seconds(setting, sight), *_believed(model.error(setting), own))
+    found = [Choice(setting, slower * model.seconds(setting, sight), *_believed(model.error(setting), own), model.beyond(setting))
              for setting in offered(model)]
     if budget is not None:
         best = within_budget(found, budget)
         if best.setting.samples == SAMPLES[-1] and best.seconds < budget / (1 + TOLERANCE):
             tell(f"more than {best.seconds:.3g} s buy nothing at this size")
+        enough = min((c for c in found if c.psnr >= best.psnr), key=lambda c: c.seconds)
+        if best.bound and enough.loss is not None and enough.loss < TOLD:
+            tell(f"all but {enough.loss:.2g} dB of it is there after {enough.seconds:.3g} s, with {enough.setting.samples} samples a ray")
         return best
     assert error is not None
     return within_error(found, error)
@@ -177,13 +186,14 @@ def drawn_in_time(choice: Choice, run: Run, frame: int, camera: Camera, geometry
 
 
 def within_budget(choices: list[Choice], budget: float) -> Choice:
-    """The one of least error among those that fit. Raises InputError, with the least time there is, where none does."""
+    """The one of least error among those that fit, and of most samples where errors were not measured. Raises InputError, with the least
+    time there is, where none fits."""
     fitting = [choice for choice in choices if choice.seconds <= budget]
     if not fitting:
         least = min(choices, key=lambda choice: choice.seconds)
         raise InputError("--budget", f"{budget:g} s", f"at least {_up(least.seconds)} s for a picture of this size on this machine",
                          "A smaller --size takes less.")
-    return max(fitting, key=lambda c: (c.psnr, -c.seconds))
+    return max(fitting, key=lambda c: (c.psnr, c.setting.samples * c.bound, -c.seconds))
 
 
 def within_error(choices: list[Choice], error: float) -> Choice:

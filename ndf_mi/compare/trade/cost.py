@@ -3,7 +3,8 @@
     t = c₀ + spp · (c₁·tiles + c₂·lanes + c₃·evaluated + c₄·launched)
 
 The counts are those of :class:`ndf_mi.render.image.Work`, which no machine enters; :mod:`ndf_mi.compare.trade.sight` finds them without
-drawing the picture. The c are what a machine takes for each, never below zero. The error is interpolated over the logarithm of the samples.
+drawing the picture. The c are what a machine takes for each, never below zero. The error is interpolated over the logarithm of the samples;
+of fewer than were measured it goes on along the line, of more it is at most that of the most that were measured.
 """
 
 from __future__ import annotations
@@ -61,14 +62,17 @@ class CostModel:
         return float(self.coefficients[0] + setting.spp * self.coefficients[1:] @ each[1:])
 
     def error(self, setting: Setting) -> float:
-        """The mean squared error in sRGB against convergence that is believed in."""
+        """The mean squared error in sRGB against convergence that is believed in; where :meth:`beyond`, a bound from above."""
         log, errors = self._errors[setting.cutoff]
         x = math.log(setting.samples)
-        if len(log) > 1 and not log[0] <= x <= log[-1]:
-            # Beyond what was measured: on along the line of the two nearest.
-            a, b = (0, 1) if x < log[0] else (-2, -1)
-            return float(math.exp(errors[b] + (errors[b] - errors[a]) / (log[b] - log[a]) * (x - log[b])))
+        if len(log) > 1 and x < log[0]:
+            return float(math.exp(errors[0] + (errors[1] - errors[0]) / (log[1] - log[0]) * (x - log[0])))
         return float(math.exp(np.interp(x, log, errors)))
+
+    def beyond(self, setting: Setting) -> bool:
+        """Whether it has more samples than any whose error was measured. Not followed further by a line: what pictures are held against has
+        errors of its own."""
+        return bool(math.log(setting.samples) > self._errors[setting.cutoff][0][-1] + 1e-9)
 
 
 def _row(tiles: float, lanes: float, evaluated: float, launched: float) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 
-def pareto_front(cost: Sequence[float], quality: Sequence[float]) -> list[int]:
+def pareto_front(cost: Sequence[float], quality: Sequence[float], least: float = 0.0) -> list[int]:
     """Indices of the points that no other one beats, by rising cost.
 
     A point is beaten (dominated) by one that costs no more and is no worse, and is better in one of the two; of equal points the
@@ -16,11 +16,12 @@ def pareto_front(cost: Sequence[float], quality: Sequence[float]) -> list[int]:
     Args:
         cost: N, lower is better.
         quality: N, higher is better; may be infinite.
+        least: by how much a point that costs more must be better to count as better at all.
     """
     order = sorted(range(len(cost)), key=lambda i: (cost[i], -quality[i], i))
     front: list[int] = []
     for index in order:
-        if not front or quality[index] > quality[front[-1]]:
+        if not front or quality[index] > quality[front[-1]] + least:
             front.append(index)
     return front
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -42,6 +43,21 @@ class Growth:
         """Whether the cost hardly grows at all."""
         return max(self.y) < _LEVEL * min(self.y)
 
+    @property
+    def end(self) -> float:
+        """The slope between the last two points, both axes by their logarithms."""
+        return math.log(self.y[-1] / self.y[-2]) / math.log(self.x[-1] / self.x[-2])
+
+    @property
+    def levels_off(self) -> bool:
+        """Whether it ends far flatter than the fit says: a power is no description of it then."""
+        return not self.level and self.exponent > 0 and self.end < 0.5 * self._fitted_end
+
+    @property
+    def _fitted_end(self) -> float:
+        a, b = self.at(np.asarray(self.x[-2:]))
+        return math.log(b / a) / math.log(self.x[-1] / self.x[-2])
+
     def formula(self, digits: int = 2) -> str:
         """The fit, in short."""
         if self.level:
@@ -56,9 +72,12 @@ class Growth:
             spread = max(self.y) / min(self.y)
             return f"{cost} hardly changes from {reach}: {np.median(self.y):.3g} {unit}, within a factor of {spread:.2f}."
         fixed = "" if self.fixed < 0.01 * min(self.y) else f" above a fixed {self.fixed:.2g} {unit}"
-        return (f"{cost} grows with the power {self.exponent:.2f} of the {raised}{fixed}, over {reach} "
-                f"(rms {100 * self.residual:.0f} % off; {self.y[0]:.3g} to {self.y[-1]:.3g} {unit}; "
-                f"the last decade alone has slope {self.slope:.2f}).")
+        details = (f"rms {100 * self.residual:.0f} % off; {self.y[0]:.3g} to {self.y[-1]:.3g} {unit}; "
+                   f"the last decade alone has slope {self.slope:.2f}")
+        if self.levels_off:
+            return (f"{cost} levels off over {reach}: the power {self.exponent:.2f}{fixed} that fits all of it overstates how it ends, "
+                    f"with slope {self.end:.2f} between the last two points ({details}).")
+        return f"{cost} grows with the power {self.exponent:.2f} of the {raised}{fixed}, over {reach} ({details})."
 
 
 def fit_growth(x: Sequence[float], y: Sequence[float]) -> Growth:

@@ -13,6 +13,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -107,13 +108,18 @@ def code_digest() -> str:
 
 def sources_digest(*names: str) -> str:
     """SHA-256 (hex) over sources of the package: modules and folders by name, each with what is below it."""
-    package = Path(ndf_mi.__file__).parent
-    parts = [package / name for name in names]
-    sources = [file for part in parts for file in ([part] if part.is_file() else sorted(part.rglob("*.py")))]
     state = hashlib.sha256()
-    for file in sources:
-        state.update(str(file.relative_to(package)).encode() + file.read_bytes())
+    for name in names:
+        part = _place(name)
+        for file in [part] if part.is_file() else sorted(part.rglob("*.py")):
+            state.update(f"{name} {file.relative_to(part)}".encode() + file.read_bytes())
     return state.hexdigest()
+
+
+def _place(name: str) -> Path:
+    spec = find_spec(f"ndf_mi.{name}") if "/" not in name and "." not in name else None
+    # An editable installation has the plugins elsewhere.
+    return Path(spec.submodule_search_locations[0]) if spec and spec.submodule_search_locations else Path(ndf_mi.__file__).parent / name
 
 
 def cache_folder() -> Path:

@@ -22,6 +22,9 @@ from ndf_mi.compare.trade.report_pictures import knees
 from ndf_mi.compare.trade.results import Row, Trade
 from ndf_mi.compare.trade.setting import CONVERGED_SAMPLES
 
+#: dB that a slower point must be better by to be on a front: half of what tables show.
+WORTH = 0.005
+
 
 @dataclass(frozen=True)
 class Group:
@@ -123,7 +126,8 @@ def write_trade_report(path: str | os.PathLike[str], trade: Trade, capture: Capt
         f"{trade.about['settings']['repeats']} repeats, in each of which every point is drawn once in each of the views timed, in random "
         f"order.</p>\n{parts}\n<h2>Pictures</h2>\n{knees(found, trade, capture, folder)}\n"
         f'<h2>All points</h2>\n<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>\n'
-        f'<p class="soft">● is on the front of its group. {escape(earlier(trade))} Memory is {escape(memory.MEANING)}</p>\n'
+        f'<p class="soft">● is on the front of its group: nothing as quick is better, and nothing quicker is as good to {WORTH:g} dB. '
+        f'{escape(earlier(trade))} Memory is {escape(memory.MEANING)}</p>\n'
         f'<h2>How it was made</h2>\n<pre>{escape(trade.about["command"])}</pre>\n'
         f'<table class="facts"><tbody>{_facts(trade)}</tbody></table>\n</body>\n</html>\n'
     )
@@ -139,7 +143,7 @@ def _group(title: str, about: str, quality: str, rows: Sequence[Row], values: Se
     if not kept:
         return None
     seconds, quality_of = [row.frame_seconds or 0.0 for row, _ in kept], [value for _, value in kept]
-    front = pareto_front(seconds, quality_of)
+    front = pareto_front(seconds, quality_of, WORTH)
     at = knee([seconds[i] for i in front], [quality_of[i] for i in front])
     return Group(title, about, quality, [row for row, _ in kept], quality_of, front, None if at is None else front[at], reference)
 

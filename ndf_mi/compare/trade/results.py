@@ -54,6 +54,7 @@ class Row:
         figures: a view each.
         seconds: a frame, of each repeat the mean over the views timed.
         session: what it was timed with, of the study's `sessions`: rows of one session were timed in turns.
+        under: a digest of machine, versions, variant and sources that figures, memory and facts were measured under; "" where not known.
     """
 
     key: str
@@ -68,6 +69,7 @@ class Row:
     figures: list[Figures] = dataclasses.field(default_factory=list)
     seconds: list[float] = dataclasses.field(default_factory=list)
     session: str = ""
+    under: str = ""
 
     @property
     def reference(self) -> str:

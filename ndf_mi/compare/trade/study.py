@@ -24,7 +24,7 @@ from ndf_mi.compare.trade import points
 from ndf_mi.compare.trade.drawing import Drawing
 from ndf_mi.compare.trade.memory import peak_memory
 from ndf_mi.compare.trade.points import OWN, RUN, PathSetting, Point, Variant
-from ndf_mi.compare.trade.profile import code_digest
+from ndf_mi.compare.trade.profile import code_digest, sources_digest
 from ndf_mi.compare.trade.report import write_trade_report
 from ndf_mi.compare.trade.results import TRUTH, Figures, Row, Trade
 from ndf_mi.compare.trade.setting import Setting
@@ -105,7 +105,10 @@ class TradeStudy:
         self._capture = Capture.read(capture)
         expect_capture(self._run, self._capture)
         views = [view for view in choose_views(self._capture, settings.views, settings.seed) if view.split != "train"]
-        self._drawing = Drawing(self._capture, self.folder / CONVERGED, views, settings.timed, settings.path_size)
+        sources = code_digest() + sources_digest("plugins", "compare/methods", "compare/trade/paths.py", "compare/trade/setting.py")
+        self._machine = machine.describe() | {"sources": hashlib.sha256(sources.encode()).hexdigest()[:12]}
+        self._under = _name(self._machine)
+        self._drawing = Drawing(self._capture, self.folder / CONVERGED / self._under, views, settings.timed, settings.path_size)
         self._drawing.fields[RUN] = self._run
         everything = self._all_variants()
         self._variants = [variant for variant in everything if variant.axis in (*settings.axes, OWN)]
@@ -147,7 +150,7 @@ class TradeStudy:
         self.trade.rows = self._rows + self._kept()
         self.trade.about["paths"] = any(row.by_paths for row in self.trade.rows)
         for number, (point, row) in enumerate(zip(self.points, self._rows, strict=True), start=1):
-            if not self._complete(row, point):
+            if row.under != self._under or not self._complete(row, point):
                 tell(f"drawing {point.label}", number, len(self.points))
                 self._measure(row, point)
                 self._write()
@@ -212,7 +215,7 @@ class TradeStudy:
         known = self._known.get(point.key)
         if known is not None and known.fingerprint == fingerprint:
             row.figures, row.memory, row.facts = known.figures, known.memory, known.facts
-            row.seconds, row.session = known.seconds, known.session
+            row.seconds, row.session, row.under = known.seconds, known.session, known.under
         return row
 
     def _complete(self, row: Row, point: Point) -> bool:
@@ -234,7 +237,7 @@ class TradeStudy:
                               metrics.psnr(truth, reference, mask) if truth is not None and mask.any() else None)
             self._save(point.key, view, picture)
             row.figures.append(figures)
-        row.memory = memory
+        row.memory, row.under = memory, self._under
 
     def _show_converged(self, row: Row, point: Point) -> None:
         """Saves what a point was held against, where it is not there yet."""
@@ -258,7 +261,7 @@ class TradeStudy:
     def _time(self, tell: Told) -> None:
         """Times every point once a repeat, all of them in one view after another, in an order drawn anew: what else the machine does, and
         what it does of itself, hits all alike. Kernels are compiled in a round before, which does not count."""
-        conditions = {"machine": machine.describe() | {"sources": code_digest()[:12]},
+        conditions = {"machine": self._machine,
                       "points": [row.fingerprint for row in self._rows], "timed": self._settings.timed}
         session = _name(conditions)
         if any(row.session != session for row in self._rows):

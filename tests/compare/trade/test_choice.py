@@ -56,7 +56,7 @@ def test_losses():
 def choices(own=1e-3):
     model = known_profile().model()
     view = sight(1000)
-    return [Choice(s, model.seconds(s, view), *choice._believed(model.error(s), own)) for s in choice.offered(model)]
+    return [Choice(s, model.seconds(s, view), *choice._believed(model.error(s), own), model.beyond(s)) for s in choice.offered(model)]
 
 
 @pytest.mark.parametrize("budget", [0.0508, 0.06, 0.09, 0.3])
@@ -71,6 +71,12 @@ def test_more_time_never_buys_a_worse_picture():
     best = [within_budget(choices(), budget) for budget in (0.06, 0.1, 0.2, 0.4, 7.0, 100.0)]
     assert all(a.psnr <= b.psnr and a.loss >= b.loss for a, b in itertools.pairwise(best))
     assert all(c.setting.spp == 1 for c in best) and best[-1].setting.samples == choice.SAMPLES[-1]
+
+
+def test_what_was_not_measured_is_told_as_a_bound(capsys):
+    measured, more = (within_budget(choices(), budget) for budget in (0.06, 100.0))
+    assert "at least" not in measured.told() and "at most" not in measured.told()
+    assert f"at least {more.psnr:.1f} dB" in more.told() and f"at most {more.loss:.2g} dB" in more.told()
 
 
 def test_too_short_a_time_says_what_the_least_is():

@@ -48,10 +48,16 @@ def test_a_view_with_more_of_the_performer_takes_longer(model):
     assert (EVALUATED + LAUNCHED) * more < full - usual < (EVALUATED + 1.5 * LAUNCHED) * more
 
 
-@pytest.mark.parametrize("samples", [4, 8, 20, 128, 512])
+@pytest.mark.parametrize("samples", [4, 8, 20, 128])
 def test_errors_follow_their_power(model, samples):
     for cutoff, factor in ((1e-4, 1), (1e-2, 4)):
         assert model.error(Setting(samples, cutoff)) == pytest.approx(3.0 * factor * samples**-2.0, rel=1e-3)
+
+
+def test_errors_of_more_samples_than_were_measured_are_bounded_by_those_of_the_most(model):
+    for cutoff in (1e-4, 1e-2):
+        most, more = Setting(128, cutoff), Setting(512, cutoff)
+        assert model.error(more) == model.error(most) and model.beyond(more) and not model.beyond(most)
 
 
 def test_more_samples_never_count_as_worse():

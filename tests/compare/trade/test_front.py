@@ -28,6 +28,10 @@ def test_the_first_of_equal_points_stays_and_infinite_quality_is_best():
     assert pareto_front([], []) == []
 
 
+def test_what_is_hardly_better_is_not_worth_more():
+    assert pareto_front([1.0, 2.0, 3.0, 4.0], [30.0, 30.004, 30.008, 31.0], 0.005) == [0, 2, 3]
+
+
 def test_the_knee_is_where_a_bent_line_bends():
     cost = np.exp(np.arange(10.0))
     quality = np.where(np.arange(10) < 4, 5.0 * np.arange(10), 15.0 + 0.1 * np.arange(10))

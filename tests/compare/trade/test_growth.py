@@ -34,6 +34,11 @@ def test_what_does_not_grow_is_told_so():
     assert growth.level and "hardly changes" in growth.sentence("Memory", "frames", "MiB")
 
 
+def test_what_levels_off_is_told_so():
+    assert "levels off" in fit_growth(X, np.minimum(3.0 * X, 300.0)).sentence("Memory", "rays", "MiB")
+    assert not any(fit_growth(X, y).levels_off for y in (X**0.5, 5 + X, np.full(len(X), 3.0)))
+
+
 @pytest.mark.parametrize(("x", "y"), [([1, 2], [1, 2]), ([1, 2, 2], [1, 2, 3]), ([0, 1, 2], [1, 2, 3]), ([1, 2, 3], [1, 0, 3])])
 def test_too_little_is_refused(x, y):
     with pytest.raises(ValueError, match="three or more"):
