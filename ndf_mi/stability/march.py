@@ -34,6 +34,11 @@ def march(ridge: Ridge, origin: np.ndarray, direction: np.ndarray, samples: int)
     origin, direction = origin.astype(np.float64), direction.astype(np.float64)
     box = ridge.run.surface(0).bbox
     low, high = (np.array(corner, np.float64).ravel() for corner in (box.min, box.max))
+    # Strata are of the box's own interval; that it lacks nothing of the band is not taken from it.
+    step = np.spacing(np.abs(ridge.vertices).max(0)).astype(np.float64)
+    places = ridge.vertices.astype(np.float64)
+    if (low > places.min(0) - ridge.preset.band + step).any() or (high < places.max(0) + ridge.preset.band - step).any():
+        raise ValueError("the box does not contain the band")
     near, far = interval(origin, direction, low, high)
     delta = (far - near) / samples
     t = near[:, None] + (np.arange(samples) + 0.5) * delta[:, None]
