@@ -62,7 +62,7 @@ from ndf_mi.planning.planner import full_model, plan, put_back  # noqa: E402
 WORTH, SHARE = 0.1, 0.6
 """dB that a planned model may be worse by and a part has to be worth, and the share of the full model's time that it may take."""
 
-BAND = {"band": 0.037, "band_inside": 0.016}
+BAND = {"band": 0.037, "band_inside": 0.028}
 """What is planned around tight clothes: what leaving the wider band out means."""
 
 PARTS: dict[str, dict[str, Any]] = {
