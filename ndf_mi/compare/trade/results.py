@@ -156,7 +156,7 @@ def _to_json(row: Row) -> dict[str, Any]:
     means = {**{key: metrics.to_json(row.truth(key)) for key in TRUTH}, "converged": metrics.to_json(row.converged()),
              "model": metrics.to_json(row.model()), "seconds": row.frame_seconds}
     return {**{key: getattr(row, key) for key in ("key", "axis", "label", "field", "setting", "by_paths", "fingerprint", "facts",
-                                                  "memory", "seconds", "session")}, "means": means, "figures": figures}
+                                                  "memory", "seconds", "session", "under")}, "means": means, "figures": figures}
 
 
 def _from_json(document: dict[str, Any]) -> Row:
@@ -164,4 +164,4 @@ def _from_json(document: dict[str, Any]) -> Row:
                        metrics.from_json(entry["converged"]), metrics.from_json(entry["model"])) for entry in document["figures"]]
     return Row(document["key"], document["axis"], document["label"], document["field"], document["setting"], document["by_paths"],
                document["fingerprint"], document["facts"], document["memory"], figures, list(document["seconds"]),
-               document.get("session", ""))
+               document.get("session", ""), document.get("under", ""))

@@ -71,11 +71,12 @@ def test_measures_every_point_once_and_goes_on_where_it_was(trained_run, capture
     make(trained_run, capture, tmp_path).run(lambda *_: pytest.fail("done again"))
 
 
-def test_a_point_is_measured_anew_where_what_it_depends_on_has_changed(trained_run, capture, tmp_path, few):
+@pytest.mark.parametrize("key", ["fingerprint", "under"])
+def test_a_point_is_measured_anew_where_what_it_depends_on_has_changed(trained_run, capture, tmp_path, few, key):
     settings = Settings(("samples",), views=1, timed=1, repeats=1)
     make(trained_run, capture, tmp_path, settings).run(silent)
     document = json.loads((tmp_path / RESULTS).read_text())
-    document["points"][1]["fingerprint"] = "another"
+    document["points"][1][key] = "another"
     (tmp_path / RESULTS).write_text(json.dumps(document))
     told = []
     make(trained_run, capture, tmp_path, settings).run(lambda text, *_: told.append(text))
