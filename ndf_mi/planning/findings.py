@@ -19,7 +19,7 @@ _TRANSPARENT = 1e-3
 #: Share of the band's outer part where density is held against a field in training, so that the surface must lie within.
 _USABLE = 0.8
 #: Cells of the grid's finest level to a pixel's side. Views and frames cut the body into pixels at other places each, so that together they
-#: show more than one of them does: cells as large as a pixel cost up to 1 dB. Two to a side give no more than this.
+#: show more than one of them does: cells as large as a pixel cost 0.3 to 0.9 dB. Two to a side give no more than this.
 _CELLS = 1.5
 #: Share of a part's area from which on it counts as seen.
 _HIDDEN = 0.5
