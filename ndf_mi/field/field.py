@@ -51,7 +51,7 @@ class Field:
         return 1.05 * self.preset.density_limit
 
     def bind(self, pose: mi.Float) -> BoundField:
-        """The field at one pose: pose features are computed and folded into biases, once for all samples.
+        """The field at one pose: pose features are computed and folded into biases and matrices, once for all samples.
 
         Args:
             pose: (3·J) axis-angles of the joints relative to their parents, in radians; the root's three are zero.
@@ -86,6 +86,8 @@ class BoundField:
         for name, layer in self._layers.items():
             if not name.startswith("pose"):
                 weight, bias, pose_weight = _split(field.weights, layer)
+                if layer.products:
+                    weight = weight + _products(field.weights, layer, features)
                 self._tensors[name] = (weight, bias if pose_weight is None else pose_weight @ features + bias)
 
     def batched(self, u: Sequence[mi.Float], d: mi.Vector3f, n: mi.Normal3f) -> tuple[mi.Float, mi.Color3f]:
@@ -245,6 +247,14 @@ def _split(weights: mi.Float, layer: Layer) -> tuple[mi.TensorXf, mi.TensorXf, m
     bias = dr.gather(mi.Float, weights, layer.offset + layer.outputs * columns + dr.arange(mi.UInt32, layer.outputs))
     return (block(0, layer.inputs), mi.TensorXf(bias, (layer.outputs, 1)),
             block(layer.inputs, layer.pose) if layer.pose else None)
+
+
+def _products(weights: mi.Float, layer: Layer, features: mi.TensorXf) -> mi.TensorXf:
+    """Σ_k f_k·W_k, what the pose features f (pose, 1) add to a layer's matrix (outputs, inputs)."""
+    count = layer.outputs * layer.inputs
+    index = layer.offset + layer.affine + dr.arange(mi.UInt32, layer.size - layer.affine)
+    mixed = mi.TensorXf(dr.gather(mi.Float, weights, index), (count, layer.pose))
+    return mi.TensorXf((mixed @ features).array, (layer.outputs, layer.inputs))
 
 
 class _Engine(Protocol):

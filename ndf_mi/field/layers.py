@@ -22,12 +22,19 @@ class Layer:
     """Width of the pose features that are joined, or 0."""
     outputs: int
     offset: int = 0
-    """Where the (outputs, inputs + pose) matrix starts in the flat vector, row by row; the bias follows it."""
+    """Where the (outputs, inputs + pose) matrix starts in the flat vector, row by row; the bias follows it, and then the products."""
+    products: bool = False
+    """Whether the pose features also mix matrices, of which an (outputs·inputs, pose) matrix holds one a column."""
+
+    @property
+    def affine(self) -> int:
+        """Number of weights before the products: the matrix with the pose's columns, and the bias."""
+        return self.outputs * (self.inputs + self.pose + 1)
 
     @property
     def size(self) -> int:
         """Number of weights, bias included."""
-        return self.outputs * (self.inputs + self.pose + 1)
+        return self.affine + (self.outputs * self.inputs * self.pose if self.products else 0)
 
 
 def layout(preset: Preset, joints: int) -> dict[str, Layer]:
@@ -40,7 +47,7 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
 
     def add(name: str, inputs: int, pose: int, outputs: int) -> int:
         offset = layers[-1].offset + layers[-1].size if layers else 0
-        layers.append(Layer(name, inputs, pose, outputs, offset))
+        layers.append(Layer(name, inputs, pose, outputs, offset, products=preset.pose_products and pose > 0))
         return outputs
 
     width = 3 * joints
@@ -78,11 +85,11 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
 
 def initial_weights(layers: dict[str, Layer], rng: np.random.Generator) -> np.ndarray:
     """Fresh weights, float32: uniform in ±1/√(fan-in) for matrices and biases, D's last layer at a hundredth of that so that
-    training starts from the undeformed projection."""
+    training starts from the undeformed projection. Products with the pose start at zero."""
     parts = []
     for layer in layers.values():
         bound = 1.0 / np.sqrt(layer.inputs + layer.pose)
         if layer.name == "deform_out":
             bound *= 0.01
-        parts.append(rng.uniform(-bound, bound, layer.size))
+        parts += [rng.uniform(-bound, bound, layer.affine), np.zeros(layer.size - layer.affine)]
     return np.concatenate(parts).astype(np.float32)

@@ -42,6 +42,11 @@ class Preset:
     pose_layers: tuple[int, ...] = (64, 16)
     """Widths of the pose network; the last is the number of pose features. Empty: nothing depends on the pose."""
 
+    pose_products: bool = False
+    """Whether the pose features f(θ) also mix matrices: where they join a layer, its W becomes W + Σ_k f_k(θ)·W_k, once a pose, so
+    that samples cost nothing more. Then what follows the pose is a sum of fields that the grid holds, each as fine as the grid, with
+    weights that the pose sets; where features are only joined to the inputs, as in the paper, they shift what is there."""
+
     deformation_layers: tuple[int, ...] = (32,)
     """Hidden widths of the deformation net D."""
 
@@ -61,10 +66,10 @@ class Preset:
     """Levels of the hash grid (`grid` only)."""
 
     grid_features: int = 2
-    """Features an entry, an even number (`grid` only)."""
+    """Features at a cell's corner, an even number (`grid` only)."""
 
     grid_entries: int = 2**16
-    """Entries a level of the hash table at most (`grid` only)."""
+    """Entries of the hash table a level at most, each a number: a cell's corner takes `grid_features` of them (`grid` only)."""
 
     grid_base: int = 16
     grid_finest: int = 512
@@ -156,19 +161,22 @@ class Preset:
         """The options as JSON-ready values; those that were added later only where they are not what was before, so that files and digests
         of older presets stay theirs."""
         values = {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(self).items()}
-        return {k: v for k, v in values.items() if (k, v) != ("direction", "view")}
+        return {k: v for k, v in values.items() if k not in _LATER or v != _LATER[k]}
 
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "preset") -> Preset:
         """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
-        return read_options(PRESETS["fast"], values, where)
+        return read_options(PRESETS["fast"], _LATER | values, where)
 
+
+#: Options that older files lack, with what was before there was a choice.
+_LATER: dict[str, Any] = {"direction": "view", "pose_products": False}
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset(normal_octaves=1, direction_octaves=-1, grid_entries=2**18),
+    "fast": Preset(normal_octaves=1, direction_octaves=-1, pose_products=True, grid_features=4, grid_entries=2**19),
     "tiny": Preset(
-        name="tiny", pose_layers=(8, 4), deformation_layers=(8,), deformation_octaves=2, grid_levels=4, grid_entries=2**10,
-        grid_base=8, grid_finest=32, density_layers=(16,), feature_width=8, colour_layers=(16,), direction_octaves=1,
+        name="tiny", pose_layers=(8, 4), pose_products=True, deformation_layers=(8,), deformation_octaves=2, grid_levels=4,
+        grid_entries=2**10, grid_base=8, grid_finest=32, density_layers=(16,), feature_width=8, colour_layers=(16,), direction_octaves=1,
         normal_octaves=0,
     ),
     "paper": Preset(

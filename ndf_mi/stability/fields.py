@@ -80,7 +80,11 @@ class Scaled:
         d, n = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, count, 3)))
         self.d, self.n = d.astype(np.float32), n.astype(np.float32)
         self._pose = rng.normal(0, 0.3, 3 * JOINTS).astype(np.float32)
-        self._base = self.field.weights.numpy()
+        self._base = self.field.weights.numpy().copy()
+        # Products start at zero, where nothing would be seen of them.
+        for layer in self.field.layers.values():
+            self._base[layer.offset + layer.affine : layer.offset + layer.size] = rng.normal(0, 0.1, layer.size - layer.affine)
+        self.field.weights = mi.Float(self._base)
         truth = Network64(self.field, self._pose)
 
         def at(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -67,10 +67,14 @@ class Network64:
         layer = self._layers[name]
         columns = layer.inputs + layer.pose
         matrix = self._weights[layer.offset : layer.offset + layer.outputs * columns].reshape(layer.outputs, columns)
-        bias = self._weights[layer.offset + layer.outputs * columns : layer.offset + layer.size]
+        bias = self._weights[layer.offset + layer.outputs * columns : layer.offset + layer.affine]
         if layer.pose:
             x = np.concatenate([x, np.broadcast_to(self._features, (len(x), layer.pose))], 1)
-        return x @ matrix.T + bias
+        y = x @ matrix.T + bias
+        if layer.products:
+            mixed = self._weights[layer.offset + layer.affine : layer.offset + layer.size].reshape(layer.outputs, layer.inputs, -1)
+            y += np.einsum("ni,oik,k->no", x[:, : layer.inputs], mixed, self._features[0])
+        return y
 
     def _relu(self, name: str, x: np.ndarray) -> np.ndarray:
         return np.maximum(self._linear(name, x), 0)

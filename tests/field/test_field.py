@@ -151,6 +151,7 @@ def with_pose_only_in(field, network):
         if layer.pose and not name.startswith(network):
             columns = layer.inputs + layer.pose
             weights[layer.offset : layer.offset + layer.outputs * columns].reshape(layer.outputs, columns)[:, layer.inputs :] = 0
+            weights[layer.offset + layer.affine : layer.offset + layer.size] = 0
     # The first row of the last layer, which is the density's; and the deformation's last layer, which starts at a hundredth.
     density, deformation = field.layers["density_out"], field.layers["deform_out"]
     weights[density.offset : density.offset + density.inputs] *= 20
@@ -233,10 +234,46 @@ def test_the_mirrored_direction_is_what_highlights_follow():
     assert colours["mirrored"] < 1e-5 and colours["view"] > 1e-3
 
 
+@pytest.mark.parametrize("mode", ["batched", "fused"])
+def test_the_pose_mixes_matrices(mode):
+    """A field at a pose is one without products whose matrices are W + Σ_k f_k·W_k, the features f from numpy."""
+    shape = dataclasses.replace(preset("tiny"), density_skip=0)
+    field, plain = Field(shape, JOINTS, 3), Field(dataclasses.replace(shape, pose_products=False), JOINTS, 3)
+    field.grid = plain.grid = field.grid * 1e4
+    u, d, pose = inputs()
+    weights = field.weights.numpy().copy()
+    rng = np.random.default_rng(7)
+    features = pose.astype(np.float64)
+    for i in range(len(shape.pose_layers)):
+        layer = field.layers[f"pose{i}"]
+        part = weights[layer.offset : layer.offset + layer.affine].astype(np.float64)
+        count = layer.outputs * layer.inputs
+        features = np.maximum(part[:count].reshape(layer.outputs, layer.inputs) @ features + part[count:], 0)
+    assert (features > 0).sum() >= 2
+    expected = plain.weights.numpy().copy()
+    for name, layer in field.layers.items():
+        other = plain.layers[name]
+        part = weights[layer.offset : layer.offset + layer.affine].copy()
+        if layer.products:
+            mixed = rng.normal(0, 1, (layer.outputs, layer.inputs, layer.pose)).astype(np.float32)
+            weights[layer.offset + layer.affine : layer.offset + layer.size] = mixed.ravel()
+            matrix = part[: layer.outputs * (layer.inputs + layer.pose)].reshape(layer.outputs, -1)
+            matrix[:, : layer.inputs] += (mixed @ features).astype(np.float32)
+        expected[other.offset : other.offset + other.size] = part
+    before = evaluate(field, u, d, pose, mode)
+    field.weights, plain.weights = mi.Float(weights), mi.Float(expected)
+    for ours, theirs, unmixed in zip(evaluate(field, u, d, pose, mode), evaluate(plain, u, d, pose, mode), before, strict=True):
+        ours, theirs, unmixed = ours.numpy(), theirs.numpy(), unmixed.numpy()
+        np.testing.assert_allclose(ours, theirs, atol=1e-5 * np.abs(theirs).max())
+        assert np.abs(ours - unmixed).max() > 1e-2 * np.abs(theirs).max()
+
+
 @pytest.mark.parametrize("name", ["fast", "paper"])
-def test_presets_written_before_there_was_a_choice_take_the_view_direction(name):
+def test_presets_written_before_there_was_a_choice_take_the_view_direction_and_no_products(name):
     values = preset(name).to_dict()
-    assert "direction" not in values and Preset.from_dict(values) == preset(name)
+    values.pop("pose_products", None)
+    assert "direction" not in values
+    assert Preset.from_dict(values) == dataclasses.replace(preset(name), pose_products=False)
 
 
 def test_a_direction_that_nothing_takes_is_refused():

@@ -124,7 +124,7 @@ def test_the_grid_is_finer_than_a_pixel_and_no_finer_than_a_blur_that_costs_noth
 
     def about(texel: float, **lost: float) -> Finding:
         of_blurs = {2: 1.0, 4: 1.0, 8: 1.0} | {int(name[1:]): value for name, value in lost.items()}
-        return findings.about_detail(Detail(0.01, 0.02, texel, of_blurs, 1.0, 0.5), settings, full)
+        return findings.about_detail(Detail(0.01, 0.02, texel, of_blurs, 1.0, 0.5), settings, full, full.grid_features)
 
     coarse, fine, plain = about(0.01), about(0.0034), about(0.01, _2=0.0)
     # Two thirds of a pixel, within the rounding to whole octets of cells.
@@ -137,13 +137,17 @@ def test_what_one_finding_took_away_can_be_put_back_alone(planned: Plan) -> None
     full, left_out = full_model(), planned.preset
     network = {"colour_layers", "feature_width"}
     # What enters the colour brings the colour network back: nothing would be made of it otherwise.
-    for key, changed in (("pose", {"pose_layers", "deformation_layers"} | network), ("light", {"normal_octaves"} | network),
+    follows = {"pose_layers", "pose_products", "grid_features", "deformation_layers"}
+    for key, changed in (("pose", follows | network), ("light", {"normal_octaves"} | network),
                          ("view", {"direction_octaves", "direction"} | network), ("band", {"band", "band_inside"}), ("colour", network)):
         preset = put_back(planned, key)
         different = {field.name for field in dataclasses.fields(Preset) if getattr(preset, field.name) != getattr(left_out, field.name)}
-        assert different == changed | {"name"}
+        # Corners with more features take more entries.
+        assert different - {"grid_entries"} == changed | {"name"}
+        assert preset.grid_entries * left_out.grid_features == left_out.grid_entries * preset.grid_features
         assert all(getattr(preset, name) == getattr(full, name) for name in changed)
-    assert put_back(planned, "detail").grid_entries == full.grid_entries
+    fine = put_back(planned, "detail")
+    assert fine.grid_entries // fine.grid_features == full.grid_entries // full.grid_features
     with pytest.raises(InputError, match="band"):
         put_back(planned, "hair")
 
