@@ -66,7 +66,7 @@ BAND = {"band": 0.037, "band_inside": 0.028}
 """What is planned around tight clothes: what leaving the wider band out means."""
 
 PARTS: dict[str, dict[str, Any]] = {
-    "pose": {"pose_layers": (), "pose_products": False, "deformation_layers": ()},
+    "pose": {"pose_layers": (), "pose_products": False, "grid_features": 2, "deformation_layers": ()},
     "light": {"normal_octaves": -1},
     "view": {"direction_octaves": -1, "direction": "view"},
     "band": BAND,

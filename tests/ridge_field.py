@@ -33,7 +33,7 @@ def make_ridge(
         return at.offset, at.inputs + at.pose, at.outputs
 
     start, columns, outputs = layer("density0")
-    weights[start : start + outputs * (columns + 1)] = 0
+    weights[start : start + field.layers["density0"].size] = 0
     weights[start + 2], weights[start + columns + 2] = 1, -1
     weights[start + outputs * columns], weights[start + outputs * columns + 1] = -unit(high), unit(low)
     start, columns, outputs = layer("density_out")

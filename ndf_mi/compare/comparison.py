@@ -171,15 +171,11 @@ class Comparison:
     def _mesh(self, kind: Kind, key: str, budget: float | None, watcher: Watcher) -> TexturedMesh:
         """The mesh of this kind and budget, from the folder if one of the same settings is there."""
         folder = self._work / key
-        wanted: dict[str, Any] = {
-            "size": self.settings.texture,
-            "seed": self.settings.seed,
-            "budget": budget,
-            "capture": self._capture.digest,
-        }
+        wanted: dict[str, Any] = {"size": self.settings.texture, "seed": self.settings.seed, "capture": self._capture.digest}
         if (folder / "mesh.json").exists():
             mesh = kind.type.load(folder, self._capture)
-            if all(mesh.facts()[name] == value for name, value in wanted.items()):
+            facts = mesh.facts()
+            if all(facts[name] == value for name, value in wanted.items()) and self._same_time(facts["budget"], budget):
                 self._note_rates(mesh)
                 return mesh
         rates = {name: rate for name, rate in self._rates.items() if name in kind.type.facts_type.__dataclass_fields__}
@@ -194,6 +190,13 @@ class Comparison:
         mesh.save(folder)
         self._note_rates(mesh)
         return mesh
+
+    def _same_time(self, trained: float | None, wanted: float | None) -> bool:
+        """Whether a mesh's budget in seconds, None for convergence, is the one wanted: within a hundredth where that is the run's own
+        time, which never ends on the second, and exactly where the user gave it."""
+        if trained is None or wanted is None or self.settings.mesh_seconds is not None:
+            return trained == wanted
+        return abs(trained - wanted) <= 0.01 * wanted
 
     def _note_rates(self, mesh: TexturedMesh) -> None:
         """Keeps the rates that a sweep found for the meshes to come: the same sweep would find them again."""

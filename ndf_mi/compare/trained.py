@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,8 +43,10 @@ def trained(folder: Path, capture: Capture, preset: Preset, options: TrainingOpt
 def expect_options(run: Run, capture: Capture, preset: Preset, options: TrainingOptions) -> None:
     """Raises InputError unless the run is of these options and of the capture."""
     expect_capture(run, capture)
-    wanted = (preset.to_dict(), options.to_dict())
-    for key, have, want in zip(("preset", "training"), read_options_of(run.config, f"{run.path / 'config.json'}: "), wanted, strict=True):
+    # All fields: dictionaries of presets leave out what older ones lack.
+    found = [dataclasses.asdict(value) for value in _parsed(run.config, f"{run.path / 'config.json'}: ")]
+    for key, have, wanted in zip(("preset", "training"), found, (preset, options), strict=True):
+        want = dataclasses.asdict(wanted)
         other = sorted(option for option in want if have[option] != want[option])
         if other:
             raise InputError(f"{run.path / 'config.json'}: {key}", f"{other[0]} = {have[other[0]]!r}",
@@ -57,8 +60,12 @@ def read_options_of(document: dict[str, Any], where: str) -> tuple[dict[str, Any
     Raises:
         InputError: either is missing or wrong; `where` and the key are in front.
     """
+    preset, options = _parsed(document, where)
+    return preset.to_dict(), options.to_dict()
+
+
+def _parsed(document: dict[str, Any], where: str) -> tuple[Preset, TrainingOptions]:
     for key in ("preset", "training"):
         if not isinstance(document.get(key), dict):
             raise InputError(f"{where}{key}", repr(document.get(key)), "the options that it was started with")
-    return (Preset.from_dict(document["preset"], f"{where}preset").to_dict(),
-            TrainingOptions.from_dict(document["training"], f"{where}training").to_dict())
+    return Preset.from_dict(document["preset"], f"{where}preset"), TrainingOptions.from_dict(document["training"], f"{where}training")

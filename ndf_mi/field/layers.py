@@ -33,7 +33,7 @@ class Layer:
 
     @property
     def size(self) -> int:
-        """Number of weights, bias included."""
+        """Number of weights, bias and products included."""
         return self.affine + (self.outputs * self.inputs * self.pose if self.products else 0)
 
 

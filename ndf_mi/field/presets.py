@@ -69,7 +69,7 @@ class Preset:
     """Features at a cell's corner, an even number (`grid` only)."""
 
     grid_entries: int = 2**16
-    """Entries of the hash table a level at most, each a number: a cell's corner takes `grid_features` of them (`grid` only)."""
+    """Corners of cells that the hash table has room for a level at most; each takes `grid_features` numbers (`grid` only)."""
 
     grid_base: int = 16
     grid_finest: int = 512
@@ -166,14 +166,14 @@ class Preset:
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "preset") -> Preset:
         """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
-        return read_options(PRESETS["fast"], _LATER | values, where)
+        return read_options(PRESETS["fast"], values, where)
 
 
-#: Options that older files lack, with what was before there was a choice.
+#: Options that older files lack, with what was before there was a choice: their defaults.
 _LATER: dict[str, Any] = {"direction": "view", "pose_products": False}
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset(normal_octaves=1, direction_octaves=-1, pose_products=True, grid_features=4, grid_entries=2**19),
+    "fast": Preset(normal_octaves=1, direction_octaves=-1, pose_products=True, grid_features=4, grid_entries=2**18),
     "tiny": Preset(
         name="tiny", pose_layers=(8, 4), pose_products=True, deformation_layers=(8,), deformation_octaves=2, grid_levels=4,
         grid_entries=2**10, grid_base=8, grid_finest=32, density_layers=(16,), feature_width=8, colour_layers=(16,), direction_octaves=1,

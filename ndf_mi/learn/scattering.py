@@ -47,14 +47,19 @@ def check_integrator(name: str) -> None:
 def relightable(preset: Preset) -> tuple[Preset, list[str]]:
     """A preset for training through scattering, and what has been changed in it, as NAME=VALUE.
 
-    The colours of such a field are its own: inputs that say where light comes from, or where the viewer is, are left out. Its density is
+    The colours of such a field are its own: inputs that say where light comes from, or where the viewer is, are left out, and the pose,
+    from which it can be told how a part was lit, mixes no matrices. Its density is
     above 0 wherever the networks decide: gradients through scattering are biased where it is 0.
     """
-    changes: dict[str, Any] = {"direction_octaves": -1, "direction": "view", "normal_octaves": -1,
+    changes: dict[str, Any] = {"direction_octaves": -1, "direction": "view", "normal_octaves": -1, "pose_products": False,
                                "density_limit": min(preset.density_limit, DENSITY_LIMIT), "density_activation": "softplus"}
-    changed = [f"{key}={value if isinstance(value, str) else format(value, 'g')}"
-               for key, value in changes.items() if getattr(preset, key) != value]
+    changed = [f"{key}={_told(value)}" for key, value in changes.items() if getattr(preset, key) != value]
     return dataclasses.replace(preset, **changes), changed
+
+
+def _told(value: str | bool | float) -> str:
+    """A value as `--option` takes it."""
+    return value if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else format(value, "g")
 
 
 class ScatteringTrainer(Trainer):

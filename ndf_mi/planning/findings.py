@@ -122,21 +122,16 @@ def about_band(found: Standoff, detail: Detail, settings: Settings, full: Preset
         {"outside_mm": 1e3 * outside, "inside_mm": 1e3 * inside}, {"band": band, "band_inside": deep})
 
 
-def about_detail(detail: Detail, settings: Settings, full: Preset, features: int) -> Finding:
-    """How much detail is there, and over how much of the texture's square?
-
-    Args:
-        features: at a corner of the grid, by which its entries are counted.
-    """
+def about_detail(detail: Detail, settings: Settings, full: Preset) -> Finding:
+    """How much detail is there, and over how much of the texture's square?"""
     blur = max((factor for factor, lost in detail.lost.items() if lost < settings.allowed), default=1)
     finest = _CELLS / max(detail.texel * blur, 1e-9)
     finest = int(np.clip(8 * math.ceil(finest / 8), 2 * full.grid_base, full.grid_finest))
     growth = math.log(full.grid_finest / full.grid_base) / (full.grid_levels - 1)
     levels = int(np.clip(1 + round(math.log(finest / full.grid_base) / growth), 2, full.grid_levels))
-    # More entries than the finest level has at the corners of cells where the performer is seen would serve nothing.
-    corners = detail.atlas * finest**2 * max(math.ceil(finest * full.grid_l_scale), 1)
-    most = full.grid_entries // full.grid_features
-    held = int(min(most, 2 ** math.ceil(math.log2(max(corners, 2**10)))))
+    # More entries than the finest level has cells where the performer is seen would serve nothing.
+    cells = detail.atlas * finest**2 * max(math.ceil(finest * full.grid_l_scale), 1)
+    entries = int(min(full.grid_entries, 2 ** math.ceil(math.log2(max(cells, 2**10)))))
     evidence = (f"a pixel spans {1e3 * detail.footprint:.1f} mm, {detail.texel:.4f} of the texture's square; a blur by two pixels would "
                 f"cost {_decibels(detail.lost[2], settings):.2f} dB; noise is at most {detail.noise:.4f}; training images show "
                 f"{100 * detail.seen:.0f} % of the body's area, over {100 * detail.atlas:.0f} % of the square")
@@ -146,15 +141,15 @@ def about_detail(detail: Detail, settings: Settings, full: Preset, features: int
     fewer = full.grid_levels - levels
     smaller = [(fewer > 0, f"{fewer} level{'' if fewer == 1 else 's'}"),
                (finest < full.grid_finest, f"cells below {1e3 * detail.footprint * blur / _CELLS:.0f} mm"),
-               (held < most, "entries for what is never seen")]
+               (entries < full.grid_entries, "entries for what is never seen")]
     return Finding(
         "detail", "how much detail is there, and which parts are ever seen?", evidence,
-        f"a grid of {levels} levels up to {finest} cells a side, {held * features:,} entries a level",
+        f"a grid of {levels} levels up to {finest} cells a side, {entries:,} entries a level",
         _listed([part for is_so, part in smaller if is_so]),
         {"footprint_mm": 1e3 * detail.footprint, "texel": detail.texel, "noise": detail.noise, "seen": detail.seen, "atlas": detail.atlas,
          **{f"blur_{factor}": lost for factor, lost in detail.lost.items()},
          **{f"seen_{name}": share for name, share in detail.parts.items()}},
-        {"grid_finest": finest, "grid_levels": levels, "grid_entries": held * features})
+        {"grid_finest": finest, "grid_levels": levels, "grid_entries": entries})
 
 
 def about_scattering(lighting: str | None) -> Finding:

@@ -55,7 +55,7 @@ def plan(capture: Capture, settings: Settings = Settings(), stage: Callable[[str
     stage("silhouettes")
     band = about.about_band(standoff(capture, frames, views), sizes, settings, full)
     stage("detail")
-    fine = about.about_detail(sizes, settings, full, pose.changes["grid_features"])
+    fine = about.about_detail(sizes, settings, full)
     scattering = about.about_scattering(None if capture.lighting is None else capture.lighting.name)
     found: list[Finding] = [pose, light, view, band, fine, scattering]
     changes = {key: value for finding in found for key, value in finding.changes.items()}
@@ -85,10 +85,6 @@ def put_back(found: Plan, key: str) -> Preset:
     full = full_model()
     changes = {name: value for finding in found.findings if finding.key not in (key, "colour")
                for name, value in finding.changes.items()}
-    # A corner of the grid takes as many entries as it has features: the table keeps its corners.
-    features = changes.get("grid_features", full.grid_features)
-    entries = changes.get("grid_entries", full.grid_entries * found.preset.grid_features // full.grid_features)
-    changes["grid_entries"] = entries * features // found.preset.grid_features
     entering = {name: getattr(full, name) for name in ("pose_layers", "direction_octaves", "normal_octaves")} | changes
     alone = None if key == "colour" else about.colour_alone(entering, full)
     return dataclasses.replace(full, name=f"planned, with {key}", **(changes | ({} if alone is None else alone.changes)))

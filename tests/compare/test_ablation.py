@@ -12,6 +12,7 @@ from ndf_mi.compare.ablation import RESULTS, Settings, Study
 from ndf_mi.compare.ablation_report import PAPER, agreement, markdown, order
 from ndf_mi.compare.methods import ndf
 from ndf_mi.compare.results import Measured, MethodResult, Results, View
+from ndf_mi.compare.trained import expect_options
 from ndf_mi.errors import InputError
 from ndf_mi.field import preset
 from ndf_mi.learn import loop
@@ -135,6 +136,15 @@ def test_studies_from_before_an_option_existed_go_on(capture, tmp_path):
     assert "no-pose" in [row.key for row in study(capture, tmp_path, (), quiet).results.methods]
     with pytest.raises(InputError, match="pose_noise = 0.0; expected 0.1"):
         study(capture, tmp_path, (), OPTIONS)
+
+
+@pytest.mark.parametrize("products", [True, False])
+def test_an_option_that_older_presets_lack_is_told_apart_both_ways(capture, tmp_path, products):
+    with_, without = (dataclasses.replace(preset("tiny"), pose_products=value) for value in (products, not products))
+    run = loop.start(tmp_path / "run", capture, with_, OPTIONS).run
+    expect_options(run, capture, with_, OPTIONS)
+    with pytest.raises(InputError, match=f"pose_products = {products}; expected {not products}"):
+        expect_options(run, capture, without, OPTIONS)
 
 
 def test_other_options_are_refused_by_name(capture, tmp_path):

@@ -166,6 +166,23 @@ def test_a_run_without_training_time_needs_the_option(run, capture, tmp_path, mo
         files.write_json(run / "config.json", config)
 
 
+def test_a_run_that_went_on_for_a_moment_keeps_its_meshes(run, capture, tmp_path):
+    config = json.loads((run / "config.json").read_text())
+
+    def of(seconds, **given):
+        files.write_json(run / "config.json", {**config, "trained": {**config["trained"], "seconds": seconds}})
+        return compared(run, capture, tmp_path, replace(SETTINGS, offsets="equal-time", **given))[1].trained
+
+    try:
+        timed = {"mesh of equal time", "mesh with offsets of equal time"}
+        assert of(0.5) >= timed
+        assert not of(0.504)
+        assert of(0.504, mesh_seconds=0.504) == timed
+        assert of(0.6) == timed
+    finally:
+        files.write_json(run / "config.json", config)
+
+
 @pytest.mark.parametrize(
     "option",
     [

@@ -115,6 +115,10 @@ def test_gradients_agree_with_finite_differences(name):
     field = Field(preset(name), JOINTS, seed=2)
     u, d, pose = inputs(2000)
     values = {"grid": field.grid.numpy().astype(np.float64) * 3e3, "weights": field.weights.numpy().astype(np.float64)}
+    for layer in field.layers.values():
+        # Products start at zero, through which no gradient would get to the pose's layers.
+        values["weights"][layer.offset + layer.affine : layer.offset + layer.size] = np.random.default_rng(6).normal(
+            0, 0.2, layer.size - layer.affine)
 
     def evaluate_at(which, change):
         for key, value in values.items():

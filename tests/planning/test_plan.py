@@ -124,7 +124,7 @@ def test_the_grid_is_finer_than_a_pixel_and_no_finer_than_a_blur_that_costs_noth
 
     def about(texel: float, **lost: float) -> Finding:
         of_blurs = {2: 1.0, 4: 1.0, 8: 1.0} | {int(name[1:]): value for name, value in lost.items()}
-        return findings.about_detail(Detail(0.01, 0.02, texel, of_blurs, 1.0, 0.5), settings, full, full.grid_features)
+        return findings.about_detail(Detail(0.01, 0.02, texel, of_blurs, 1.0, 0.5), settings, full)
 
     coarse, fine, plain = about(0.01), about(0.0034), about(0.01, _2=0.0)
     # Two thirds of a pixel, within the rounding to whole octets of cells.
@@ -142,12 +142,9 @@ def test_what_one_finding_took_away_can_be_put_back_alone(planned: Plan) -> None
                          ("view", {"direction_octaves", "direction"} | network), ("band", {"band", "band_inside"}), ("colour", network)):
         preset = put_back(planned, key)
         different = {field.name for field in dataclasses.fields(Preset) if getattr(preset, field.name) != getattr(left_out, field.name)}
-        # Corners with more features take more entries.
-        assert different - {"grid_entries"} == changed | {"name"}
-        assert preset.grid_entries * left_out.grid_features == left_out.grid_entries * preset.grid_features
+        assert different == changed | {"name"}
         assert all(getattr(preset, name) == getattr(full, name) for name in changed)
-    fine = put_back(planned, "detail")
-    assert fine.grid_entries // fine.grid_features == full.grid_entries // full.grid_features
+    assert put_back(planned, "detail").grid_entries == full.grid_entries
     with pytest.raises(InputError, match="band"):
         put_back(planned, "hair")
 
