@@ -137,6 +137,8 @@ def test_the_paper_preset_gets_a_density_above_0(truth, lit_capture, tmp_path, c
     changed, changes = relightable(preset("paper"))
     assert changed.density_activation == "softplus" and "density_activation=softplus" in changes and "density_limit=150" in changes
     assert configured("paper", integrator="prbvolpath")[0].density_activation == "softplus"
+    # Written as `--option` takes it.
+    assert not relightable(preset("fast"))[0].pose_products and "pose_products=false" in relightable(preset("fast"))[1]
     capture = lit_capture(truth, "day")
     without_light(capture.path)
     arguments = ["optimise", str(capture.path), "-o", str(tmp_path / "out"), "--preset", "paper", "--integrator", "prbvolpath"]
