@@ -44,9 +44,9 @@ def expect_options(run: Run, capture: Capture, preset: Preset, options: Training
     """Raises InputError unless the run is of these options and of the capture."""
     expect_capture(run, capture)
     # All fields: dictionaries of presets leave out what older ones lack.
-    found = [dataclasses.asdict(value) for value in _parsed(run.config, f"{run.path / 'config.json'}: ")]
-    for key, have, wanted in zip(("preset", "training"), found, (preset, options), strict=True):
-        want = dataclasses.asdict(wanted)
+    had_preset, had_options = _parsed(run.config, f"{run.path / 'config.json'}: ")
+    for key, have, want in (("preset", dataclasses.asdict(had_preset), dataclasses.asdict(preset)),
+                            ("training", dataclasses.asdict(had_options), dataclasses.asdict(options))):
         other = sorted(option for option in want if have[option] != want[option])
         if other:
             raise InputError(f"{run.path / 'config.json'}: {key}", f"{other[0]} = {have[other[0]]!r}",
