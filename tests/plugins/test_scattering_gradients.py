@@ -189,10 +189,12 @@ def test_gradients_in_a_thin_medium_are_those_of_single_scattering(make_constant
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("depth", "change", "paths"), [(ORDINARY, 0.02, 1 << 14), (THICK, 0.02, 1 << 13)])
-def test_gradients_on_the_lattice_agree_with_differences(make_constant_run, depth, change, paths):
+@pytest.mark.parametrize(("depth", "change", "paths", "forward"), [(ORDINARY, 0.02, 1 << 14, 1 << 17), (THICK, 0.01, 1 << 13, 1 << 17)])
+def test_gradients_on_the_lattice_agree_with_differences(make_constant_run, depth, change, paths, forward):
+    """A thick medium's mean hardly follows the table: a step of 0.02 of it is as large as the table's entries themselves, and differences
+    come out a seventh too small."""
     run = uneven(make_constant_run, depth)
-    check(OnLattice(run), run.field_tensors(), change, paths, repeats=8, forward=8 * paths)
+    check(OnLattice(run), run.field_tensors(), change, paths, repeats=8, forward=forward)
 
 
 @pytest.mark.long
