@@ -28,11 +28,11 @@ import drjit as dr  # noqa: E402
 
 from ndf_mi.capture.capture import Capture  # noqa: E402
 from ndf_mi.commands.training_options import configured  # noqa: E402
-from ndf_mi.compare import metrics  # noqa: E402
-from ndf_mi.compare.evaluate import LABELS, choose_views  # noqa: E402
-from ndf_mi.compare.methods.ndf import NeuralField  # noqa: E402
-from ndf_mi.compare.results import View  # noqa: E402
+from ndf_mi.experiments import metrics  # noqa: E402
+from ndf_mi.experiments.evaluate import LABELS, choose_views  # noqa: E402
+from ndf_mi.experiments.records import View  # noqa: E402
 from ndf_mi.learn.loop import start  # noqa: E402
+from ndf_mi.methods.ndf import NeuralField  # noqa: E402
 
 
 @dataclass(frozen=True)

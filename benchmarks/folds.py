@@ -30,9 +30,9 @@ from ndf_mi.capture.synthesise.performer import Performer  # noqa: E402
 from ndf_mi.capture.synthesise.studio import Studio  # noqa: E402
 from ndf_mi.capture.synthesise.synthesise import composite  # noqa: E402
 from ndf_mi.capture.synthesise.wrinkles import Folds  # noqa: E402
-from ndf_mi.compare import metrics  # noqa: E402
-from ndf_mi.compare.evaluate import LABELS, choose_views  # noqa: E402
-from ndf_mi.compare.results import View  # noqa: E402
+from ndf_mi.experiments import metrics  # noqa: E402
+from ndf_mi.experiments.evaluate import LABELS, choose_views  # noqa: E402
+from ndf_mi.experiments.records import View  # noqa: E402
 
 
 @dataclass(frozen=True)

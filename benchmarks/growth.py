@@ -40,18 +40,17 @@ variants.use()
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
-from ndf_mi import files  # noqa: E402
+from ndf_mi import files, machine  # noqa: E402
 from ndf_mi.body.body import Body  # noqa: E402
 from ndf_mi.body.poses import Poses  # noqa: E402
 from ndf_mi.capture.camera import Camera  # noqa: E402
 from ndf_mi.capture.viewpoint import framing  # noqa: E402
-from ndf_mi.compare import machine  # noqa: E402
-from ndf_mi.compare.report_style import CSS  # noqa: E402
-from ndf_mi.compare.trade.charts import growth_chart  # noqa: E402
-from ndf_mi.compare.trade.growth import fit_growth  # noqa: E402
-from ndf_mi.compare.trade.memory import MEANING, peak_memory  # noqa: E402
-from ndf_mi.compare.trade.setting import Setting  # noqa: E402
+from ndf_mi.experiments.trade.growth import fit_growth  # noqa: E402
+from ndf_mi.experiments.trade.memory import MEANING, peak_memory  # noqa: E402
 from ndf_mi.model import networks_here  # noqa: E402
+from ndf_mi.render.settings import Setting  # noqa: E402
+from ndf_mi.reports.charts import growth_chart  # noqa: E402
+from ndf_mi.reports.style import CSS  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 CURVES = ("rays", "samples", "triangles", "posing", "frames", "width")

@@ -43,21 +43,22 @@ variants.use()
 
 import drjit as dr  # noqa: E402
 
+from ndf_mi import machine  # noqa: E402
 from ndf_mi.capture.capture import Capture  # noqa: E402
 from ndf_mi.capture.synthesise.look import Look  # noqa: E402
 from ndf_mi.capture.synthesise.plan import SIZES  # noqa: E402
 from ndf_mi.capture.synthesise.synthesise import synthesise  # noqa: E402
-from ndf_mi.compare import machine, metrics  # noqa: E402
-from ndf_mi.compare.methods.ndf import NeuralField  # noqa: E402
-from ndf_mi.compare.trade.profile import code_digest, sources_digest  # noqa: E402
 from ndf_mi.errors import InputError  # noqa: E402
+from ndf_mi.experiments import metrics  # noqa: E402
 from ndf_mi.field import Preset  # noqa: E402
 from ndf_mi.json_input import load_json  # noqa: E402
 from ndf_mi.learn.loop import start  # noqa: E402
 from ndf_mi.learn.options import TrainingOptions  # noqa: E402
 from ndf_mi.learn.trainer import Trainer  # noqa: E402
+from ndf_mi.methods.ndf import NeuralField  # noqa: E402
 from ndf_mi.planning.plan import Plan  # noqa: E402
 from ndf_mi.planning.planner import full_model, plan, put_back  # noqa: E402
+from ndf_mi.render.profile import code_digest, sources_digest  # noqa: E402
 
 WORTH, SHARE = 0.1, 0.6
 """dB that a planned model may be worse by and a part has to be worth, and the share of the full model's time that it may take."""

@@ -42,7 +42,7 @@ variants.use()
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 
-from ndf_mi.compare.trade.memory import peak_memory  # noqa: E402
+from ndf_mi.experiments.trade.memory import peak_memory  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 CHUNK = 64

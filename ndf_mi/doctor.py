@@ -46,12 +46,12 @@ class State(enum.Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the examination; ``mend`` is the command that helps, where one does."""
+    """One line of the examination; ``repair`` is the command that helps, where one does."""
 
     name: str
     state: State
     found: str
-    mend: str = ""
+    repair: str = ""
 
 
 def examine() -> list[Finding]:
@@ -101,7 +101,7 @@ def _variant(name: str) -> Finding:
     if llvm.find() is None:
         return Finding(name, State.MISSING, "no usable LLVM", llvm.install_command())
     if library := _libatomic():
-        return Finding(name, State.MISSING, library[0].found, library[0].mend)
+        return Finding(name, State.MISSING, library[0].found, library[0].repair)
     return Finding(name, State.MISSING, trouble, _pip("install", "--force-reinstall", "--no-deps", "mitsuba", "drjit"))
 
 

@@ -12,13 +12,13 @@ class InputError(ValueError):
         where: the file, key or option at fault, as the user would name it.
         found: what is there.
         expected: what would have been right.
-        mend: optional, what to do about it: a sentence or a command.
+        repair: optional, what to do about it: a sentence or a command.
     """
 
-    def __init__(self, where: str | os.PathLike[str], found: str, expected: str, mend: str = "") -> None:
+    def __init__(self, where: str | os.PathLike[str], found: str, expected: str, repair: str = "") -> None:
         self.where = os.fspath(where)
         self.found = found
         self.expected = expected
-        self.mend = mend
+        self.repair = repair
         text = f"{self.where}: found {found}; expected {expected}"
-        super().__init__(f"{text}\n  {mend}" if mend else text)
+        super().__init__(f"{text}\n  {repair}" if repair else text)

@@ -116,8 +116,8 @@ class _Unpickler(pickle.Unpickler):
         if found is None:
             # What a pickle names is shown as it stands only where it is a name.
             shown = f"{module}.{name}" if re.fullmatch(r"[\w.]{1,100}", f"{module}.{name}") else ascii(f"{module}.{name}")[:100]
-            mend = "Nothing of it has been run. Where you trust the file, save its arrays with numpy.savez in the program that wrote it."
-            raise InputError(self._where, f"a pickle that names {shown}", _ADMITTED, mend)
+            repair = "Nothing of it has been run. Where you trust the file, save its arrays with numpy.savez in the program that wrote it."
+            raise InputError(self._where, f"a pickle that names {shown}", _ADMITTED, repair)
         return found
 
     def persistent_load(self, pid: Any) -> NoReturn:

@@ -14,7 +14,7 @@ from ndf_mi import variants
 
 variants.use()
 
-pytest_plugins = ["sphere_capture", "lit_capture"]
+pytest_plugins = ["sphere_capture", "lit_capture", "trained_run"]
 
 if TYPE_CHECKING:
     from ndf_mi.body.body import Body

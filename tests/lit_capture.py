@@ -17,7 +17,7 @@ from ndf_mi import files
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.document import Document, Split
 from ndf_mi.capture.writer import CaptureWriter
-from ndf_mi.compare.methods.lit import Lit
+from ndf_mi.methods.lit import Lit
 
 SIZE = 24
 BACKGROUND = (0.5, 0.5, 0.5)

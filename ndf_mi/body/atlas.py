@@ -69,7 +69,7 @@ def one_piece(vertices: np.ndarray, faces: np.ndarray, front: Sequence[float] = 
     if doubled.min() <= _LEAST_AREA * doubled.sum():
         thin = int(np.argmin(doubled))
         found = f"triangle {thin} with the area {doubled[thin] / 2:.3g} of {doubled.sum() / 2:.3g}"
-        raise InputError("vertices", found, "triangles that have an area", "Give another pose, or mend the mesh.")
+        raise InputError("vertices", found, "triangles that have an area", "Give another pose, or repair the mesh.")
 
     charts, uv_faces, first = [], np.zeros_like(triangles), 0
     component = mesh.components(opposite)

@@ -18,8 +18,8 @@ class Faults:
     file: Path
     found: list[InputError] = field(default_factory=list)
 
-    def add(self, key: str, found: str, expected: str, mend: str = "") -> None:
-        self.found.append(InputError(f"{self.file}: {key}" if key else self.file, found, expected, mend))
+    def add(self, key: str, found: str, expected: str, repair: str = "") -> None:
+        self.found.append(InputError(f"{self.file}: {key}" if key else self.file, found, expected, repair))
 
     def number(self, value: Any, key: str, low: float = -math.inf, high: float = math.inf) -> float | None:
         """``value`` as a finite float within [low, high], or None with the fault noted."""

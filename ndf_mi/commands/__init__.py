@@ -36,7 +36,7 @@ class Entry:
 
 
 ENTRIES = (
-    Entry("doctor", "doctor", "Doctor", "say what is installed, what works, and how to mend the rest", variant=False),
+    Entry("doctor", "doctor", "Doctor", "say what is installed, what works, and how to repair the rest", variant=False),
     Entry("capture synthesise", "capture_synthesise", "CaptureSynthesise", "render a capture of a synthetic performer"),
     Entry("capture check", "capture_check", "CaptureCheck", "say exactly what is wrong with a capture folder"),
     Entry("capture import", "capture_import", "CaptureImport", "make a capture of one of ZJU-MoCap or DynaCap"),

@@ -56,9 +56,9 @@ class Ablate:
 
     def run(self) -> None:
         """Trains and measures what is missing, prints the table and says where the report is."""
-        from ndf_mi.compare.ablation import REPORT, Settings, Study
-        from ndf_mi.compare.ablation_report import markdown
-        from ndf_mi.compare.report import command_line
+        from ndf_mi.experiments.ablate import REPORT, Settings, Study
+        from ndf_mi.reports.ablate import markdown
+        from ndf_mi.reports.compare import command_line
 
         preset, options = configured(self.preset, self.option, steps=self.steps, seconds=self.seconds, seed=self.seed)
         settings = Settings(self.max_images, self.sequence, self.samples, self.seed, self.protocol)

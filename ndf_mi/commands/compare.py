@@ -55,8 +55,8 @@ class Compare:
     def run(self) -> None:
         """Compares, prints the table and says where the report is."""
         from ndf_mi.commands.compare_console import ConsoleWatcher, print_tables
-        from ndf_mi.compare.comparison import REPORT, Comparison, Settings
-        from ndf_mi.compare.report import command_line
+        from ndf_mi.experiments.compare import REPORT, Comparison, Settings
+        from ndf_mi.reports.compare import command_line
 
         folder = self.out or self.run_folder
         settings = Settings(

@@ -9,9 +9,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from ndf_mi.compare import metrics, tables
-from ndf_mi.compare.evaluate import LABELS
-from ndf_mi.compare.results import Results
+from ndf_mi.experiments import metrics
+from ndf_mi.experiments.evaluate import LABELS
+from ndf_mi.experiments.records import Results
+from ndf_mi.reports import tables
 
 
 class ConsoleWatcher:

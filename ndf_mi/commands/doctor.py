@@ -30,8 +30,8 @@ class Doctor:
         width = max(len(finding.name) for finding in findings)
         for finding in findings:
             console.print(f"{finding.name:<{width}}  {MARKS[finding.state]}  {escape(finding.found)}")
-            if finding.mend:
-                console.print(f"{'':<{width}}  to mend: [bold]{escape(finding.mend)}[/]")
+            if finding.repair:
+                console.print(f"{'':<{width}}  to repair: [bold]{escape(finding.repair)}[/]")
         healthy = doctor.healthy(findings)
         console.print("\nReady." if healthy else "\nNot ready: see the lines marked `missing`.")
         return 0 if healthy else 1

@@ -48,9 +48,9 @@ class Relight:
         """Relights, prints the table and says where the report is."""
         from ndf_mi.commands.compare_console import ConsoleWatcher
         from ndf_mi.commands.relight_console import print_relighting
-        from ndf_mi.compare.relight_report import write_relight_report
-        from ndf_mi.compare.relighting import REPORT, Relighting, Settings
-        from ndf_mi.compare.report import command_line
+        from ndf_mi.experiments.relight import REPORT, Relighting, Settings
+        from ndf_mi.reports.compare import command_line
+        from ndf_mi.reports.relight import write_relight_report
 
         folder = self.out or self.run_folder / "relight"
         settings = Settings(self.spp, self.max_images, self.texture, self.lattice, self.seed)

@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from ndf_mi.compare import metrics, tables
-from ndf_mi.compare.evaluate import LABELS
-from ndf_mi.compare.relight_report import KEYS, columns, notes
-from ndf_mi.compare.results import Results
+from ndf_mi.experiments import metrics
+from ndf_mi.experiments.evaluate import LABELS
+from ndf_mi.experiments.records import Results
+from ndf_mi.reports import tables
+from ndf_mi.reports.relight import KEYS, columns, notes
 
 
 def print_relighting(results: Mapping[str, Results]) -> None:

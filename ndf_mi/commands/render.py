@@ -139,7 +139,7 @@ class Render:
 
     def _wish(self) -> tuple[float | None, float | None]:
         """The seconds and the dB asked for. Raises InputError where they, or one of them and another way to draw, are given together."""
-        from ndf_mi.compare.trade.choice import parse_decibel, parse_seconds
+        from ndf_mi.render.tuner import parse_decibel, parse_seconds
 
         if self.budget is not None and self.error is not None:
             raise InputError("--budget", "it together with --error", "one of them")
@@ -155,8 +155,8 @@ class Render:
         return ("samples", "cutoff", "stratified", "networks")
 
     def _image(self, run: Run, frame: int, camera: Camera, budget: float | None, error: float | None) -> Image:
-        from ndf_mi.compare.trade.choice import choose, drawn_in_time
-        from ndf_mi.compare.trade.setting import Setting
+        from ndf_mi.render.settings import Setting
+        from ndf_mi.render.tuner import choose, drawn_in_time
 
         def tell(text: str) -> None:
             print(text, file=sys.stderr, flush=True)

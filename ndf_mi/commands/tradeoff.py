@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from ndf_mi.compare.trade.points import AXES, PATHS, RENDERING, TRAINED
+from ndf_mi.experiments.trade.points import AXES, PATHS, RENDERING, TRAINED
 
 _ONLY_HELP = (f"What to turn: {', '.join(RENDERING)}, which only draw the run otherwise; {PATHS[0]}, which draws it by Mitsuba's volpath; "
               f"{', '.join(TRAINED)}, for which fields are trained. All by default.")
@@ -59,9 +59,9 @@ class Tradeoff:
 
     def run(self) -> None:
         """Trains, draws and times what is missing, prints the table and says where the report is."""
-        from ndf_mi.compare.report import command_line
-        from ndf_mi.compare.trade.report import markdown
-        from ndf_mi.compare.trade.study import REPORT, Settings, TradeStudy
+        from ndf_mi.experiments.trade.study import REPORT, Settings, TradeStudy
+        from ndf_mi.reports.compare import command_line
+        from ndf_mi.reports.tradeoff import markdown
 
         settings = Settings(self.only, self.steps, self.seconds, self.views, self.timed, self.repeats, self.path_size, self.seed)
         study = TradeStudy(self.run_folder, self.capture, self.out, settings, command_line(self._arguments()))

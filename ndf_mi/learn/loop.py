@@ -136,7 +136,7 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
                 except InputError as error:
                     _leave(trainer)
                     raise InputError(error.where, error.found, error.expected,
-                                     f"{error.mend} The last good state is in {folder}: it can be rendered, and --resume "
+                                     f"{error.repair} The last good state is in {folder}: it can be rendered, and --resume "
                                      "goes on from it as slowly as it came to be.".lstrip()) from error
                 now = trainer.progress
                 if now.step == taken:

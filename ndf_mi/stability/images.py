@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ndf_mi.compare.metrics import average, flip_map, from_json, measure, psnr, ssim, temporal_psnr, to_json
+from ndf_mi.experiments.metrics import average, flip_map, from_json, measure, psnr, ssim, temporal_psnr, to_json
 from ndf_mi.stability.case import Measured, case, error
 
 SIZE = 12

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ndf_mi import files
-from ndf_mi.compare.metrics import to_json
 from ndf_mi.errors import InputError
+from ndf_mi.experiments.metrics import to_json
 from ndf_mi.stability.case import Case, Result
 
 HEADER = ("case", "what", "over", "primal", "gradient", "promised", "verdict")

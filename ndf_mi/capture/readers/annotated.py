@@ -106,8 +106,8 @@ def read_annotations(folder: Path, size: tuple[int, int] | None) -> Annotations:
     cameras = {name: _calibration(file, i, name, lists, size) for i, name in enumerate(names)}
     farthest = max(float(np.linalg.norm(camera.translation)) for camera in cameras.values()) / _MILLIMETRES
     if farthest < _NEAREST:
-        mend = "multiply T by 1000 where it is in metres"
-        raise InputError(f"{file}: cams.T", f"translations of {farthest:.3g} at most", "millimetres", mend)
+        repair = "multiply T by 1000 where it is in metres"
+        raise InputError(f"{file}: cams.T", f"translations of {farthest:.3g} at most", "millimetres", repair)
     return Annotations(file, cameras, rows)
 
 

@@ -94,8 +94,8 @@ def _body(source: Source, smpl: Path | None, uv: Path | None, shape_count: int) 
             raise InputError(smpl, f"a model of {body.joint_count} joints", f"SMPL's {JOINTS}, which the fits are of")
         return body
     if uv is None:
-        mend = "The folder's vertices come without triangles: give --smpl MODEL, or --uv with an OBJ over SMPL's vertices."
-        raise InputError("--smpl", "neither a model nor texel coordinates", "SMPL's model file, .pkl or .npz", mend)
+        repair = "The folder's vertices come without triangles: give --smpl MODEL, or --uv with an OBJ over SMPL's vertices."
+        raise InputError("--smpl", "neither a model nor texel coordinates", "SMPL's model file, .pkl or .npz", repair)
     found = read_uv(uv)
     if found.faces is None:
         raise InputError(uv, "texel coordinates without the vertices of their triangles", "`faces` beside them, or --smpl MODEL")
@@ -122,9 +122,9 @@ def _vertices(source: Source, body: Body, fits: Fits, smpl: Path | None, frames:
         raise InputError(str(smpl), f"a model of {len(body.template)} vertices", f"{vertices.shape[1]}, as {files[0]} has")
     distance = float(np.linalg.norm(skinned(0) - vertices[0], axis=1).mean())
     if distance > _SAME_BODY:
-        mend = "look at the model's gender (ZJU-MoCap's fits are of the neutral one), at the fits, and at --fits"
+        repair = "look at the model's gender (ZJU-MoCap's fits are of the neutral one), at the fits, and at --fits"
         found = f"vertices {1000 * distance:.0f} mm on the mean from {smpl} at {source.fits[frames[0]]}"
-        raise InputError(files[0], found, f"at most {1000 * _SAME_BODY:.0f} mm", mend)
+        raise InputError(files[0], found, f"at most {1000 * _SAME_BODY:.0f} mm", repair)
     return vertices, [f"vertices: the files', {1000 * distance:.1f} mm on the mean from the model's"]
 
 
@@ -181,8 +181,8 @@ def _check_mask(file: Path, mask: np.ndarray, camera: Camera, vertices: np.ndarr
     share = float(binary_dilation(mask)[rows, columns].mean()) if inside.any() else 0.0
     if share < _ON_MASK:
         found = f"only {share:.0%} of the fitted body's vertices seen on it, frame {frame}"
-        mend = "look at the frames' numbers, the calibrations' units (T in millimetres) and the fits' (metres)"
-        raise InputError(file, found, f"{_ON_MASK:.0%} or more", mend)
+        repair = "look at the frames' numbers, the calibrations' units (T in millimetres) and the fits' (metres)"
+        raise InputError(file, found, f"{_ON_MASK:.0%} or more", repair)
 
 
 def _check_free(out: Path) -> None:

@@ -93,6 +93,6 @@ def read_zju(
 def _guess(folder: Path) -> str:
     found = [number for number in re.findall(r"\d+", folder.resolve().name) if number in SUBJECTS]
     if len(found) != 1:
-        mend = f"name the subject: --subject {'|'.join(SUBJECTS)}"
-        raise InputError(folder, "a folder's name that tells no subject", "a name such as CoreView_377", mend)
+        repair = f"name the subject: --subject {'|'.join(SUBJECTS)}"
+        raise InputError(folder, "a folder's name that tells no subject", "a name such as CoreView_377", repair)
     return found[0]

@@ -20,8 +20,8 @@ from ndf_mi.capture.readers.importing import import_capture
 from ndf_mi.capture.readers.source import Selection
 from ndf_mi.capture.readers.zju import SUBJECTS, read_zju
 from ndf_mi.commands import main
-from ndf_mi.compare.protocols import ZJU
 from ndf_mi.errors import InputError
+from ndf_mi.experiments.protocols import ZJU
 
 cv2 = pytest.importorskip("cv2")
 
@@ -265,7 +265,7 @@ class TestBadInput:
         assert "params" in self.attempt(written.folder, smpl_file, out, fits="params").where
         assert "--smpl" in self.attempt(written.folder, smpl_file, out, smpl=None, uv=None).where
         written.folder.rename(tmp_path / "somebody")
-        assert "--subject" in self.attempt(tmp_path / "somebody", smpl_file, out).mend
+        assert "--subject" in self.attempt(tmp_path / "somebody", smpl_file, out).repair
         (tmp_path / "somebody").rename(written.folder)
 
         # A mask of somebody else, and an empty one: both after other images have been written.

@@ -1,1 +1,0 @@
-"""Methods compared on a capture's held-out views and poses: metrics, baselines, evaluation, report."""

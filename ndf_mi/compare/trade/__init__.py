@@ -1,1 +1,0 @@
-"""The trade of speed for accuracy: measured in a study, and used to choose how to render."""

@@ -1,0 +1,1 @@
+"""Experiments on captures: compare, ablate, relight, tradeoff."""

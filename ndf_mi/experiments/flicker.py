@@ -1,0 +1,87 @@
+"""Temporal consistency: does the picture change from frame to frame as the truth does?
+
+For successive frames t, t+1 of one camera, images I, truth G (sRGB in [0, 1]) and the pixels B of both frames' boxes,
+
+    tMSE_t = mean over B_t ∪ B_{t+1} and channels of ((I_{t+1} − I_t) − (G_{t+1} − G_t))²
+    tPSNR_t = −10·log10 tMSE_t                                                              in dB, higher is better
+
+- A perfect method has no error. An error that stays where it is counts nothing; one that comes and goes does, and so does a
+  picture that stands still while the performer moves (a still picture has the `frozen` value of `Flicker`).
+- In decibels over the box, so that it reads against box PSNR: errors that know nothing of each other from frame to frame double
+  tMSE, so tPSNR is 3 dB below PSNR; errors that stay let it rise above.
+- It is taken of the 8-bit pictures, which is what is looked at: rounding bounds it at about 56 dB where errors are not zero.
+- The further apart the frames are, the more it is an error of motion and the less one of flicker: `FrameSequence.spacing`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ndf_mi.capture.capture import Capture
+from ndf_mi.capture.document import Split
+from ndf_mi.experiments import metrics
+from ndf_mi.experiments.records import Flicker, FrameSequence, View
+
+
+def choose_sequences(capture: Capture, count: int) -> list[FrameSequence]:
+    """One sequence of up to `count` successive frames in the split's first camera: of the split `sequence` where there is one, which is
+    made for it, otherwise of each split.
+
+    Of all runs of that many successive frames it is the one whose frames are closest together, the first of these. A split of
+    fewer than two frames has none, and none has where `count` is 0.
+    """
+    chosen = []
+    own = capture.splits.get("sequence", Split())
+    splits = {"sequence": own} if len(own.frames) > 1 else capture.splits
+    for name, split in splits.items():
+        frames = _closest_run(split, count)
+        if len(frames) > 1 and split.cameras:
+            chosen.append(FrameSequence(name, split.cameras[0], frames))
+    return chosen
+
+
+def measure_flicker(capture: Capture, sequence: FrameSequence, pictures: Path) -> Flicker:
+    """Measures one method's pictures of a sequence.
+
+    Args:
+        capture: the truth.
+        sequence: whose pictures are all in `pictures`.
+        pictures: the method's folder of 8-bit pictures.
+    """
+    camera = capture.cameras[sequence.camera]
+    flicker = Flicker(sequence, [], [])
+    before: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    for view in sequence.views:
+        mask = metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)])
+        after = capture.image(view.camera, view.frame), read_picture(pictures, view), mask
+        if before is not None:
+            flicker.tpsnr.append(_change(before, after))
+            flicker.frozen.append(_change(before, (after[0], before[1], mask)))
+        before = after
+    return flicker
+
+
+def read_picture(pictures: Path, view: View) -> np.ndarray:
+    """A method's picture of a view, (h, w, 3) float32 sRGB in [0, 1], of 8 bits."""
+    with Image.open(pictures / view.file) as picture:
+        return np.asarray(picture.convert("RGB"), dtype=np.float32) / 255
+
+
+def _change(
+    before: tuple[np.ndarray, np.ndarray, np.ndarray], after: tuple[np.ndarray, np.ndarray, np.ndarray]
+) -> float | None:
+    """Temporal PSNR of (truth, picture, box mask) of two frames; None where both boxes are out of sight."""
+    mask = before[2] | after[2]
+    return metrics.temporal_psnr((before[0], after[0]), (before[1], after[1]), mask) if mask.any() else None
+
+
+def _closest_run(split: Split, count: int) -> tuple[int, ...]:
+    frames = sorted(split.frames)
+    length = min(count, len(frames))
+    if length < 2:
+        return ()
+    first = min(range(len(frames) - length + 1), key=lambda start: frames[start + length - 1] - frames[start])
+    return tuple(frames[first : first + length])

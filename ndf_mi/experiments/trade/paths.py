@@ -1,0 +1,71 @@
+"""A run path traced by Mitsuba's `volpath`, the medium bounded in one way or another, itself or on a lattice."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.body.box import BOX_PADDING, padded_box
+from ndf_mi.capture.camera import Camera
+from ndf_mi.experiments.trade.points import PathSetting
+from ndf_mi.learn.rays import box_pixels
+from ndf_mi.methods.lit import Lit
+from ndf_mi.methods.lit_field import LAYERS
+from ndf_mi.run import Run
+
+#: Paths a pixel of the picture that stands for convergence.
+CONVERGED_SPP = 512
+
+
+class PathTracer:
+    """Draws a run under some light, a scene for each frame and way to hold the medium, kept.
+
+    Args:
+        run: the run.
+        lights: entries of a scene's dictionary.
+        max_depth: longest path, as Mitsuba counts.
+    """
+
+    def __init__(self, run: Run, lights: dict[str, Any], max_depth: int) -> None:
+        self._run = run
+        self._lights = lights
+        self._integrator = mi.load_dict({"type": "volpath", "max_depth": max_depth, "hide_emitters": True})
+        self._scenes: dict[tuple[str, float, int], tuple[mi.Scene, float]] = {}
+
+    def picture(self, setting: PathSetting, frame: int, camera: Camera, seed: int) -> np.ndarray:
+        """(h, w, 3) float32 sRGB in [0, 1] over the run's background."""
+        scene, _ = self._scene(setting, frame)
+        low, high = self._box(frame)
+        lit = Lit(scene, self._integrator, self._run.background, setting.spp)
+        picture, _ = lit.render(camera, box_pixels(camera, low, high), seed)
+        dr.sync_thread()
+        return picture
+
+    def loading(self, setting: PathSetting, frame: int) -> float:
+        """Seconds that the scene took to make: a frame of an animation takes them, too."""
+        return self._scene(setting, frame)[1]
+
+    def _scene(self, setting: PathSetting, frame: int) -> tuple[mi.Scene, float]:
+        key = setting.bounds, setting.lattice, frame
+        if key not in self._scenes:
+            begun = time.perf_counter()
+            scene = mi.load_dict({"type": "scene", **self._lights, "performer": self._performer(setting.bounds, setting.lattice, frame)})
+            self._scenes[key] = scene, time.perf_counter() - begun
+        return self._scenes[key]
+
+    def _performer(self, bounds: str, lattice: float, frame: int) -> dict[str, Any]:
+        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame, "lattice": lattice}
+        if bounds == "box":
+            low, high = self._box(frame)
+            place = mi.ScalarTransform4f().translate((0.5 * (low + high)).tolist()).scale((0.5 * (high - low)).tolist())
+            return {"type": "cube", "to_world": place, "bsdf": {"type": "null"}, "interior": medium}
+        return {"type": "ndf_shell", "layers": LAYERS if bounds == "nested" else 0, "interior": medium}
+
+    def _box(self, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        vertices = self._run.poses.vertices[self._run.poses.index(frame)]
+        low, high = padded_box(vertices, max(BOX_PADDING, self._run.model.band))
+        return np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)

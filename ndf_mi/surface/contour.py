@@ -1,0 +1,178 @@
+"""Visibility gradients of a posed mesh: how the image changes because contours move (Li et al. 2018, edge sampling).
+
+Differentiating the samples of an image misses that they change sides of a contour. For a box-filtered pixel p whose
+radiance f jumps along contours in the image, with n normal to the contour and x on it,
+
+    dI_p/dv = ∫_p ∂f/∂v dA + ∫_{contours in p} (f(x - n·0) - f(x + n·0)) (n · ∂x/∂v) dl.
+
+The second integral is estimated here by points on the contours of primary visibility, of the background and of parts of
+the body before others alike. Contours where two parts intersect are not sampled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.capture.camera import Camera
+from ndf_mi.surface.textured import TexturedSurface
+
+Rectangle = tuple[int, int, int, int]
+
+#: How far beside a contour the radiance of its two sides is looked up, pixels.
+ASIDE = 0.02
+#: A contour point is hidden if something is nearer than this share of its distance.
+NEARER = 1 - 1e-3
+
+
+@dataclass(frozen=True)
+class ContourSamples:
+    """N points on a view's contours.
+
+    Attributes:
+        start, end: (N,) indices of the vertices of each point's edge.
+        position: (N,) where between their projections it lies, 0 to 1.
+        point: (N, 2) pixel coordinates.
+        normal: (N, 2) unit vectors, normal to the contour in the image.
+        distance: (N,) metres from the camera.
+        length: pixels of contour that each point stands for.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    position: np.ndarray
+    point: np.ndarray
+    normal: np.ndarray
+    distance: np.ndarray
+    length: float
+
+
+class Contours:
+    """Finds and samples the contours of a mesh of fixed topology.
+
+    Contours are the edges between a triangle that faces the camera and one that does not, if they are convex (others
+    are hidden by their own triangles), and all edges that do not have two triangles.
+
+    Args:
+        faces: (F, 3), without doubled vertices at texture seams, which would be taken for boundaries.
+    """
+
+    def __init__(self, faces: np.ndarray) -> None:
+        corners = faces.astype(np.int64)
+        edges = np.concatenate([corners[:, [i, (i + 1) % 3]] for i in range(3)])
+        opposite = np.concatenate([corners[:, (i + 2) % 3] for i in range(3)])
+        face = np.tile(np.arange(len(corners)), 3)
+        unique, inverse, counts = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+        order = np.argsort(inverse.ravel(), kind="stable")
+        first = np.cumsum(counts) - counts
+        pairs = counts == 2
+        self._faces = corners
+        self._inner = unique[pairs]
+        self._wings = np.stack([face[order[first[pairs]]], face[order[first[pairs] + 1]]], axis=1)
+        self._opposite = opposite[order[first[pairs] + 1]]
+        self._boundary = unique[~pairs]
+
+    def edges(self, vertices: np.ndarray, camera: Camera) -> np.ndarray:
+        """(E, 2) the contour edges of the mesh with these (V, 3) vertices, metres."""
+        a, b, c = (vertices[self._faces[:, corner]] for corner in range(3))
+        normals = np.cross(b - a, c - a)
+        facing = (normals * (camera.position - a)).sum(1) > 0
+        one, other = self._wings.T
+        chosen = np.flatnonzero(facing[one] != facing[other])
+        reach = vertices[self._opposite[chosen]] - vertices[self._inner[chosen, 0]]
+        convex = (normals[one[chosen]] * reach).sum(1) < 0
+        return np.concatenate([self._inner[chosen[convex]], self._boundary])
+
+    def sample(
+        self, vertices: np.ndarray, camera: Camera, count: int, random: np.random.Generator
+    ) -> ContourSamples | None:
+        """`count` stratified points, uniform in length in the image; None if no contour is in front of the camera."""
+        vertices = vertices.astype(np.float64)
+        edges = self.edges(vertices, camera)
+        depth = -camera.to_camera(vertices)[:, 2]
+        edges = edges[(depth[edges] > 0).all(axis=1)]
+        ends = camera.project(vertices[edges.ravel()]).reshape(-1, 2, 2)
+        along = ends[:, 1] - ends[:, 0]
+        lengths = np.linalg.norm(along, axis=1)
+        above = np.cumsum(lengths)
+        if not len(above) or above[-1] == 0:
+            return None
+        at = (np.arange(count) + random.random(count)) * (above[-1] / count)
+        index = np.minimum(np.searchsorted(above, at, side="right"), len(above) - 1)
+        length = np.maximum(lengths[index], 1e-12)
+        position = np.clip((at - above[index]) / length + 1, 0, 1)
+        start, end = edges[index].T
+        # Depth's inverse is linear in the image.
+        share = position * depth[start] / (position * depth[start] + (1 - position) * depth[end])
+        world = vertices[start] + share[:, None] * (vertices[end] - vertices[start])
+        return ContourSamples(
+            start,
+            end,
+            position,
+            point=ends[index, 0] + position[:, None] * along[index],
+            normal=np.stack([along[index, 1], -along[index, 0]], axis=1) / length[:, None],
+            distance=np.linalg.norm(world - camera.position, axis=1),
+            length=float(above[-1] / count),
+        )
+
+
+def contour_gradient(
+    surface: TexturedSurface,
+    vertices: np.ndarray,
+    camera: Camera,
+    samples: ContourSamples,
+    adjoint: mi.TensorXf,
+    rectangle: Rectangle,
+) -> np.ndarray:
+    """(V, 3): the part of the gradient of a loss with respect to world positions that comes from contours moving.
+
+    Args:
+        surface: what is seen; its vertices must be these.
+        vertices: (V, 3) world space, metres.
+        camera: a pinhole camera.
+        samples: points on this camera's contours.
+        adjoint: (h, w, 4), the gradient of the loss with respect to `TexturedSurface.layers` in the rectangle.
+        rectangle: x, y, width, height.
+    """
+    motion = samples.length * _jump(surface, camera, samples, adjoint, rectangle)
+    gradient = np.zeros_like(vertices, dtype=np.float64)
+    for index, share in ((samples.start, 1 - samples.position), (samples.end, samples.position)):
+        along = (motion * share)[:, None] * _lifted(camera, vertices[index], samples.normal)
+        for axis in range(3):
+            gradient[:, axis] += np.bincount(index, along[:, axis], minlength=len(vertices))
+    return gradient
+
+
+def _jump(
+    surface: TexturedSurface, camera: Camera, samples: ContourSamples, adjoint: mi.TensorXf, rectangle: Rectangle
+) -> np.ndarray:
+    """(N,) what the loss gains, a pixel of contour and a pixel of motion along its normal; 0 at hidden points."""
+    with dr.suspend_grad():
+        point, normal = (
+            mi.Point2f(*(mi.Float(np.ascontiguousarray(xy[:, i], dtype=np.float32)) for i in range(2)))
+            for xy in (samples.point, samples.normal)
+        )
+        x, y, width, height = rectangle
+        column, row = (mi.Int32(dr.floor(point[i] - dr.opaque(mi.Float, low))) for i, low in enumerate((x, y)))
+        inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        ray = camera.rays(point)
+        ray.maxt = mi.Float(samples.distance.astype(np.float32)) * NEARER
+        seen = inside & ~surface.occluded(ray, inside)
+        behind, ahead = (surface.radiance(camera.rays(point + side * ASIDE * normal), seen) for side in (-1.0, 1.0))
+        first = mi.UInt32(dr.select(inside, row * width + column, 0)) * 4
+        jump = mi.Float(0)
+        for channel in range(4):
+            weight = dr.gather(mi.Float, adjoint.array, first + channel, seen)
+            jump += weight * (behind[channel] - ahead[channel])
+        return dr.select(seen, jump, 0).numpy().astype(np.float64)
+
+
+def _lifted(camera: Camera, points: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(N, 3): the gradient of n · (projection of X) with respect to X, for pixel vectors n (N, 2)."""
+    x, y, z = camera.to_camera(points).T
+    scale = camera.fl_x / z
+    local = np.stack([-normal[:, 0], normal[:, 1], (normal[:, 0] * x - normal[:, 1] * y) / z], axis=1)
+    return (scale[:, None] * local) @ np.asarray(camera.transform, dtype=np.float64)[:3, :3].T
