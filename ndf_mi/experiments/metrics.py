@@ -13,7 +13,7 @@ from scipy.ndimage import uniform_filter
 
 from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera
-from ndf_mi.learn.rays import box_pixels
+from ndf_mi.capture.pixels import box_pixels
 
 SSIM_WINDOW = 7
 #: The key of temporal PSNR, which is of a sequence; all others are of an image.

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.document import Split
+from ndf_mi.capture.pixels import box_pixels, pixel_rays
 from ndf_mi.errors import InputError
 from ndf_mi.learn.options import TrainingOptions
 
@@ -80,24 +80,6 @@ class RaySampler:
         return (origin.astype(np.float32), direction.astype(np.float32),
                 self._images[key][pixels].T.astype(np.float32) / 255, self._masks[key][pixels].astype(np.float32),
                 self._sure[key][pixels].astype(np.float32), (np.arange(count) >= on_mask).astype(np.float32))
-
-
-def pixel_rays(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Origins and unit directions, (3, N) float64, of the rays through the centres of pixels, numbered row by row."""
-    y, x = np.divmod(pixels.astype(np.int64), camera.w)
-    local = np.stack([(x + 0.5 - camera.cx) / camera.fl_x, (camera.cy - y - 0.5) / camera.fl_y, -np.ones(len(pixels))])
-    direction = np.asarray(camera.transform, dtype=np.float64)[:3, :3] @ local
-    origin = np.broadcast_to(camera.position[:, None], direction.shape)
-    return origin, direction / np.linalg.norm(direction, axis=0)
-
-
-def box_pixels(camera: Camera, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(h, w) bool: pixels whose ray meets the axis-aligned box in front of the camera."""
-    origin, direction = pixel_rays(camera, np.arange(camera.w * camera.h))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (low[:, None] - origin) / direction, (high[:, None] - origin) / direction
-    near, far = np.fmin(a, b).max(0), np.fmax(a, b).min(0)
-    return (far > np.maximum(near, 0)).reshape(camera.h, camera.w)
 
 
 def _edge(mask: np.ndarray, kernel: int) -> np.ndarray:

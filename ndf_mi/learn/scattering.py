@@ -15,7 +15,7 @@ from ndf_mi.field import Preset
 from ndf_mi.learn.loss import NoisyLoss
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.rays import RayBatch
-from ndf_mi.learn.stage import Stage, expect_outside
+from ndf_mi.learn.scattering_scene import ScatteringScene, expect_outside
 from ndf_mi.learn.trainer import Step, Trainer
 from ndf_mi.model import PosedModel
 from ndf_mi.render.lights import lights
@@ -92,7 +92,7 @@ class ScatteringTrainer(Trainer):
                 expect_outside(run, capture.cameras[name], frame, options.cell)
         self._behind = srgb_to_linear(mi.Color3f(*[float(v) for v in run.background]))
         self._noisy = NoisyLoss(options.paths)
-        self._stage: Stage | None = None
+        self._stage: ScatteringScene | None = None
 
     @property
     def scattering(self) -> bool:
@@ -126,10 +126,10 @@ class ScatteringTrainer(Trainer):
         dr.backward(shape + baked.pulled(stage.gradient()))
         return Step(error + dr.detach(shape), error, seen)
 
-    def _set_up(self) -> tuple[Stage, Replay]:
+    def _set_up(self) -> tuple[ScatteringScene, Replay]:
         """The scene and what traces it, made when they are needed first."""
         if self._stage is None:
-            self._stage = Stage(self.run, self._frames, self._lights, self.options.cell)
+            self._stage = ScatteringScene(self.run, self._frames, self._lights, self.options.cell)
             integrator = mi.load_dict({"type": self.options.integrator, "max_depth": self.options.max_depth, "hide_emitters": True})
             self._replay = Replay(self._stage.scene, integrator, self._behind)
         return self._stage, self._replay

@@ -12,8 +12,8 @@ import numpy as np
 
 from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera
-from ndf_mi.learn.rays import box_pixels
-from ndf_mi.learn.stage import Stage, expect_outside
+from ndf_mi.capture.pixels import box_pixels
+from ndf_mi.learn.scattering_scene import ScatteringScene, expect_outside
 from ndf_mi.methods.lit import Lit
 from ndf_mi.run import Run
 
@@ -46,7 +46,7 @@ class LitField:
         self._spp = spp
         self._depth = max_depth
         self._lattice = lattice
-        self._stage = Stage(run, frames, lights, lattice) if lattice else None
+        self._stage = ScatteringScene(run, frames, lights, lattice) if lattice else None
         self._frame: int | None = None
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:

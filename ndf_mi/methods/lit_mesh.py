@@ -11,8 +11,8 @@ import numpy as np
 from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
+from ndf_mi.capture.pixels import box_pixels
 from ndf_mi.colour import srgb_to_linear
-from ndf_mi.learn.rays import box_pixels
 from ndf_mi.methods.lit_surface import LitSurface, ReflectanceFit
 from ndf_mi.methods.mesh import TexturedMesh
 from ndf_mi.render.lights import lights as lights_of

@@ -15,7 +15,7 @@ from ndf_mi.field import preset
 from ndf_mi.learn.loop import start, train
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import relightable
-from ndf_mi.learn.stage import expect_outside
+from ndf_mi.learn.scattering_scene import expect_outside
 from ndf_mi.methods.lit_field import LitField
 from ndf_mi.methods.lit_mesh import LitMesh
 from ndf_mi.methods.lit_surface import ReflectanceFit

@@ -15,7 +15,7 @@ from ndf_mi.field import preset
 from ndf_mi.learn.loop import resume, start, train
 from ndf_mi.learn.loss import ImageLoss, Loss
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.rays import RaySampler, box_pixels, pixel_rays
+from ndf_mi.learn.rays import RaySampler
 from ndf_mi.render.image import ImageRenderer
 from ndf_mi.render.quadrature import Radiance
 from ndf_mi.run import Run
@@ -139,26 +139,6 @@ def test_the_error_of_the_boxs_rays_is_told_apart(capture):
     assert float(found.box[0]) == pytest.approx(of_box, rel=1e-5)
     assert float(found.image[0]) == pytest.approx(0.25 * off.mean(), rel=1e-5) and of_mask > 1.5 * of_box
     assert loss(seen, mi.Color3f(0.0), mi.Float(0), mi.Float(0)).box is None
-
-
-def test_pixel_rays_agree_with_the_cameras_own(capture):
-    camera = capture.cameras["c1"]
-    pixels = np.array([0, 17, camera.w * camera.h - 1])
-    _, direction = pixel_rays(camera, pixels)
-    y, x = np.divmod(pixels, camera.w)
-    ray = camera.rays(mi.Point2f(mi.Float((x + 0.5).astype(np.float32)), mi.Float((y + 0.5).astype(np.float32))))
-    np.testing.assert_allclose(np.array(ray.d), direction, atol=1e-6)
-    points = camera.position + 2 * direction.T
-    np.testing.assert_allclose(camera.project(points), np.stack([x, y], -1) + 0.5, atol=1e-6)
-
-
-def test_box_pixels_cover_the_boxs_corners(capture):
-    camera = capture.cameras["c0"]
-    low, high = np.full(3, -0.3), np.full(3, 0.3)
-    mask = box_pixels(camera, low, high)
-    corners = np.stack(np.meshgrid(*np.stack([0.9 * low, 0.9 * high], -1)), -1).reshape(-1, 3)
-    x, y = np.floor(camera.project(corners)).astype(int).T
-    assert mask[y, x].all() and not mask[0].any() and not mask[:, -1].any()
 
 
 def test_a_run_is_not_overwritten_and_belongs_to_its_capture(capture, write_capture, tmp_path):

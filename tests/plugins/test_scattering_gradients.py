@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from ndf_mi.learn.stage import Stage
+from ndf_mi.learn.scattering_scene import ScatteringScene
 from ndf_mi.model import PosedModel
 from ndf_mi.render.quadrature import quadrature
 from ndf_mi.render.replay import Replay
@@ -85,7 +85,7 @@ class OnLattice:
 
     def __init__(self, run):
         self.run = run
-        self.stage = Stage(run, [0], {key: mi.load_dict(value) for key, value in lights().items()}, 0.02)
+        self.stage = ScatteringScene(run, [0], {key: mi.load_dict(value) for key, value in lights().items()}, 0.02)
         self.scene = self.stage.scene
 
     def set(self, values, wanted):

@@ -11,8 +11,8 @@ import numpy as np
 
 from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.pixels import box_pixels
 from ndf_mi.experiments.trade.points import PathSetting
-from ndf_mi.learn.rays import box_pixels
 from ndf_mi.methods.lit import Lit
 from ndf_mi.methods.lit_field import LAYERS
 from ndf_mi.run import Run

@@ -21,7 +21,7 @@ SHELL_CELL = 0.0125
 """Finest spacing in metres of the grid that a shell is cut from."""
 
 
-class Stage:
+class ScatteringScene:
     """A field on a lattice, in a tight shell, among lights.
 
     Each frame has a shell of its own around the body's band. They are filled up to one size with triangles of no area, and the lattice has
