@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from ndf_mi import variants
+from ndf_mi import deprecated, variants
 
 variants.use()
 
@@ -44,6 +44,12 @@ def ball(frames: int = 3) -> tuple[Body, Poses]:
     pose[:, 1, 2] = 0.3 * np.arange(frames)
     return body, Poses(frames=np.arange(frames, dtype=np.int32), vertices=vertices + shift[:, None], pose=pose,
                        root_rotation=np.zeros((frames, 3), np.float32), translation=shift)
+
+
+@pytest.fixture(autouse=True)
+def _deprecations_warn_again() -> None:
+    """Each test sees the warnings that a process prints once."""
+    deprecated.warn.cache_clear()
 
 
 @pytest.fixture

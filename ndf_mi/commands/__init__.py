@@ -1,7 +1,8 @@
 """The command line ``ndf-mi``: finds the command, reads its options, runs it; a user's mistake is exit code 2.
 
 Each command is one module here with one dataclass: a docstring on every field (the options are made of it) and a method
-``run() -> int | None``, the exit code. A module is imported only when its command is called.
+``run() -> int | None``, the exit code. A module is imported only when its command is called. Options that were renamed
+stand in the class attribute ``deprecated``, as :mod:`ndf_mi.deprecated` describes.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import ndf_mi
+from ndf_mi.deprecated import rewrite_arguments
 from ndf_mi.errors import InputError
 
 USAGE_ERROR = 2
@@ -117,6 +119,7 @@ def _parse(entry: Entry, arguments: Sequence[str]) -> Any:
     import tyro
 
     cls = getattr(importlib.import_module(f"{__name__}.{entry.module}"), entry.cls)
+    arguments = rewrite_arguments(arguments, getattr(cls, "deprecated", ()))
     return tyro.cli(cls, prog=f"ndf-mi {entry.name}", args=arguments, description=inspect.cleandoc(cls.__doc__ or ""))
 
 

@@ -7,12 +7,14 @@ import sys
 import types
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from tyro.conf import Positional
 
 import ndf_mi
 from ndf_mi import commands
+from ndf_mi.deprecated import RenamedOption
 from ndf_mi.errors import InputError
 
 
@@ -24,6 +26,7 @@ class Fake:
     """What is read."""
     steps: int = 3
     """How many."""
+    deprecated: ClassVar = (RenamedOption("--number", "--steps"),)
 
     def run(self) -> int | None:
         match self.path.name:
@@ -87,6 +90,14 @@ def test_options_are_documented(capsys):
     out = capsys.readouterr().out
     for text in ("ndf-mi try it", "What is read.", "How many.", "A command for the tests."):
         assert text in out
+
+
+def test_renamed_options_are_accepted_and_not_shown(capsys):
+    assert commands.main(["try", "code", "--number", "7"]) == 7
+    error = capsys.readouterr().err
+    assert "--number" in error and "--steps" in error and len(error.splitlines()) == 1
+    commands.main(["try", "--help"])
+    assert "--number" not in capsys.readouterr().out
 
 
 def test_a_reader_that_leaves_early_is_no_error():
