@@ -112,7 +112,7 @@ class Study:
             method = NeuralField(run, self._settings.samples)
             result = MethodResult(name, ablation(name).title, method.fingerprint(), method.facts())
             known = self._known.get(name)
-            if known is not None and known.fingerprint == result.fingerprint:
+            if known is not None and known.cache_key == result.cache_key:
                 result.images = known.images
             others = [other for other in self.results.methods if other.key != name]
             self.results.methods = sorted([*others, result], key=lambda method: list(ABLATIONS).index(method.key))
@@ -152,7 +152,7 @@ class Study:
             expect_options(run, self._capture, *ablation(row.key).apply(*self._full))
         except InputError:
             return False
-        return NeuralField(run, self._settings.samples).fingerprint() == row.fingerprint
+        return NeuralField(run, self._settings.samples).fingerprint() == row.cache_key
 
     def _about(self, command: str, preset: Preset, options: TrainingOptions) -> dict[str, Any]:
         splits = self._capture.splits

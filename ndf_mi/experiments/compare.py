@@ -207,7 +207,7 @@ class Comparison:
     def _measure(self, key: str, label: str, method: Method, fingerprint: str, watcher: Watcher) -> None:
         known = self.results.method(key)
         result = MethodResult(key, label, fingerprint, method.facts())
-        if known is not None and known.fingerprint == fingerprint:
+        if known is not None and known.cache_key == fingerprint:
             result.images = known.images
         # What an earlier call measured of the other methods stays, until their turn comes.
         self.results.methods = [method for method in self.results.methods if method.key != key] + [result]

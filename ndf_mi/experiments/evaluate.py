@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 from PIL import Image
 
 from ndf_mi import files
@@ -92,7 +93,7 @@ def evaluate(
     wanted, sampled = to_render(views, sequences), _counted(views, sequences)
 
     def there() -> list[Measured]:
-        return [replace(known[view], sampled=view in sampled) for view in wanted if view in known]
+        return [structs.replace(known[view], sampled=view in sampled) for view in wanted if view in known]
 
     result.images = there()
     result.flicker = []

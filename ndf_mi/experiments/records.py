@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import statistics
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from ndf_mi import files
 from ndf_mi.errors import InputError
@@ -17,8 +19,7 @@ FORMAT = "ndf-comparison"
 VERSION = 1
 
 
-@dataclass(frozen=True)
-class View:
+class View(Struct, frozen=True):
     """One image of a split."""
 
     split: str
@@ -27,13 +28,12 @@ class View:
 
     @property
     def file(self) -> str:
-        """The name of this view's picture."""
+        """The file name of this view's picture, relative to the folder of its method."""
         return f"{self.split}/{self.camera}/{self.frame:06d}.png"
 
 
-@dataclass(frozen=True)
-class FrameSequence:
-    """Successive frames, two at least, of a split in one of its cameras."""
+class FrameSequence(Struct, frozen=True):
+    """Two or more successive frames of a split, seen by one of its cameras."""
 
     split: str
     camera: str
@@ -41,24 +41,23 @@ class FrameSequence:
 
     @property
     def views(self) -> list[View]:
-        """The images, in their order."""
+        """The images in order."""
         return [View(self.split, self.camera, frame) for frame in self.frames]
 
     @property
     def spacing(self) -> float:
-        """How far apart the frames' numbers are, on average: 1 where none is left out."""
+        """The mean difference between successive frame numbers; 1 where no frame is missing."""
         return (self.frames[-1] - self.frames[0]) / (len(self.frames) - 1)
 
 
-@dataclass
-class Measured:
+class Measured(Struct):
     """One image of one method.
 
     Attributes:
-        view: which.
-        seconds: that rendering took.
-        figures: by the keys of `metrics.IMAGE_METRICS`.
-        sampled: whether it counts in the split's means; an image that was rendered for a sequence alone does not.
+        view: which image.
+        seconds: the time that rendering took.
+        figures: metrics by the keys of `metrics.IMAGE_METRICS`; None where a metric is undefined.
+        sampled: whether the image counts in the split's means. Images that only a sequence needs do not.
     """
 
     view: View
@@ -67,14 +66,13 @@ class Measured:
     sampled: bool = True
 
 
-@dataclass
-class Flicker:
+class Flicker(Struct):
     """The temporal consistency of one method in one sequence of n frames.
 
     Attributes:
         sequence: the frames.
         tpsnr: (n − 1) temporal PSNR in dB of each pair of frames; None where the body is out of sight.
-        frozen: (n − 1) the same of a picture that does not change, which is how much the truth does.
+        frozen: (n − 1) the same for a picture that does not change, which measures how much the truth changes.
     """
 
     sequence: FrameSequence
@@ -82,50 +80,48 @@ class Flicker:
     frozen: list[float | None]
 
 
-@dataclass
-class MethodResult:
-    """All that is known of one method.
+class MethodResult(Struct):
+    """Everything that was measured of one method.
 
     Attributes:
-        key: name of the folder of its pictures.
-        label: its name for people.
-        fingerprint: of what was rendered; a changed one makes the images void.
-        facts: of its training, JSON values.
-        images: measured so far.
-        flicker: of each sequence whose images are all there.
+        key: the method's name in a study, and the name of the folder of its pictures.
+        label: its name for readers.
+        cache_key: identifies what was rendered; images with another key are stale.
+        metadata: what the method reports of itself and its training; JSON values.
+        images: the images measured so far.
+        flicker: temporal consistency of each sequence whose images are complete.
     """
 
     key: str
     label: str
-    fingerprint: str
-    facts: dict[str, Any] = field(default_factory=dict)
-    images: list[Measured] = field(default_factory=list)
-    flicker: list[Flicker] = field(default_factory=list)
+    cache_key: str
+    metadata: dict[str, Any] = {}
+    images: list[Measured] = []
+    flicker: list[Flicker] = []
 
     def mean(self, split: str, metric: str) -> float | None:
-        """The mean over the sampled images of a split, of temporal PSNR that over the pairs of frames of its sequences.
+        """The mean over the sampled images of a split; for temporal PSNR, over the pairs of frames of its sequences.
 
-        None where no image, or pair, defines the metric.
+        None where the metric is undefined for all of them.
         """
         if metric == metrics.TEMPORAL:
             return metrics.average([v for known in self.flicker if known.sequence.split == split for v in known.tpsnr])
         return metrics.average([i.figures[metric] for i in self.images if i.sampled and i.view.split == split])
 
     def seconds_an_image(self) -> float | None:
-        """The median over all images, which leaves out what the first ones spend on compiling."""
+        """The median over all images, so that kernel compilation in the first few does not count."""
         return statistics.median(image.seconds for image in self.images) if self.images else None
 
     def find(self, view: View) -> Measured | None:
-        """What was measured for a view, or None."""
+        """The measurement of a view, or None."""
         return next((image for image in self.images if image.view == view), None)
 
 
-@dataclass
-class Results:
+class Results(Struct):
     """A whole comparison. `about` holds what the report says of it: run, capture, command, machine, settings, protocol."""
 
-    about: dict[str, Any] = field(default_factory=dict)
-    methods: list[MethodResult] = field(default_factory=list)
+    about: dict[str, Any] = {}
+    methods: list[MethodResult] = []
 
     def method(self, key: str) -> MethodResult | None:
         """The result with this key, or None."""
@@ -171,8 +167,8 @@ def _method_to_json(method: MethodResult, splits: list[str]) -> dict[str, Any]:
     return {
         "key": method.key,
         "label": method.label,
-        "fingerprint": method.fingerprint,
-        "facts": method.facts,
+        "fingerprint": method.cache_key,
+        "facts": method.metadata,
         "seconds_an_image": method.seconds_an_image(),
         "means": means,
         "flicker": [

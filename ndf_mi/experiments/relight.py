@@ -135,13 +135,13 @@ class Relighting:
         results, views = self.results[lighting], self._views[lighting]
         known = results.method(key)
         result = MethodResult(key, label, fingerprint, method.facts())
-        if known is not None and known.fingerprint == fingerprint:
+        if known is not None and known.cache_key == fingerprint:
             result.images = known.images
-            result.facts["noise_psnr"] = known.facts.get("noise_psnr")
+            result.metadata["noise_psnr"] = known.metadata.get("noise_psnr")
         results.methods = [other for other in results.methods if other.key != key] + [result]
 
         def done() -> None:
-            result.facts["noise_psnr"] = -10 * math.log10(max(float(np.mean(noise)), 1e-12))
+            result.metadata["noise_psnr"] = -10 * math.log10(max(float(np.mean(noise)), 1e-12))
             results.write(self.folder / f"{lighting}.json")
             watcher.measured(f"{label}, {lighting} light", len(result.images), len(views))
 

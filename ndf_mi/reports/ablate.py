@@ -96,9 +96,9 @@ def write_ablation_report(path: str | os.PathLike[str], results: Results, captur
     columns = "".join(f"<th>{text}</th>" for text in ("PSNR", "SSIM", "tPSNR", "to full", "paper’s")) * len(_splits(results))
     body = "".join("<tr>" + f'<th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:]) + "</tr>"
                    for row in _rows(results))
-    meanings = "".join(f"<tr><th>{escape(m.label)}</th><td>{escape(ABLATIONS[m.key].meaning)}; {m.facts['steps']:,} steps in "
-                       f"{tables.duration(m.facts['seconds'])}, {tables.duration(m.seconds_an_image())} an image</td></tr>"
-                       for m in results.methods if m.facts.get("steps"))
+    meanings = "".join(f"<tr><th>{escape(m.label)}</th><td>{escape(ABLATIONS[m.key].meaning)}; {m.metadata['steps']:,} steps in "
+                       f"{tables.duration(m.metadata['seconds'])}, {tables.duration(m.seconds_an_image())} an image</td></tr>"
+                       for m in results.methods if m.metadata.get("steps"))
     page = (
         f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{name}: ablations</title>\n'
         f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<style>{CSS}</style>\n</head>\n<body>\n'

@@ -145,7 +145,7 @@ def _row(label: str, cells: Sequence[tables.Cell], difference: bool) -> str:
 def _times(results: Results) -> str:
     body = ""
     for method in results.methods:
-        facts = method.facts
+        facts = method.metadata
         cells = (
             tables.duration(facts.get("seconds")),
             "–" if facts.get("steps") is None else f"{facts['steps']:,}",
@@ -165,7 +165,7 @@ def _curves(results: Results, history: Sequence[Mapping[str, float]]) -> str:
         charts.append(line_chart([(label, seconds, psnr)], "seconds", "dB", f"{label}: PSNR on the rays drawn"))
     meshes = []
     for method in results.methods:
-        points = [(s, -10 * np.log10(loss)) for _, s, loss in method.facts.get("history", []) if loss > 0]
+        points = [(s, -10 * np.log10(loss)) for _, s, loss in method.metadata.get("history", []) if loss > 0]
         if points:
             seconds, psnr = zip(*points, strict=True)
             meshes.append((method.label, seconds, psnr))
@@ -179,7 +179,7 @@ def _mesh_notes(results: Results) -> list[str]:
     equal = results.about["equal_seconds"]
     keys = {method.key for method in results.methods}
     for method in results.methods:
-        converged = method.facts.get("converged") and method.facts["seconds"] <= equal
+        converged = method.metadata.get("converged") and method.metadata["seconds"] <= equal
         if converged and method.key.replace("converged", "equal-time") not in keys:
             notes.append(
                 f"{method.label}: this was before the field's training time ({tables.duration(equal)}) was up, so it stands for "
@@ -205,9 +205,9 @@ def _origin(results: Results) -> str:
 
 
 def _method_facts(method: MethodResult) -> str:
-    plain = {key: value for key, value in method.facts.items() if isinstance(value, (str, int, float))}
+    plain = {key: value for key, value in method.metadata.items() if isinstance(value, (str, int, float))}
     parts = [_settings(plain)]
-    for key, value in method.facts.items():
+    for key, value in method.metadata.items():
         if isinstance(value, dict) and value:
             label = "training loss by learning rate" if key == "sweep" else key
             parts.append(f"{escape(label)}: {_settings(value)}")

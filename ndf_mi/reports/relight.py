@@ -52,8 +52,8 @@ def columns(results: Mapping[str, Results]) -> list[tuple[str, str]]:
 
 def notes(results: Mapping[str, Results]) -> list[str]:
     """What is to be said below the table: noise of the pictures, and how the mesh was trained."""
-    parts = [f"{method.label} {method.facts['noise_psnr']:.1f} dB under the {lighting} light"
-             for lighting in LIGHTINGS for method in results[lighting].methods if method.facts.get("noise_psnr") is not None]
+    parts = [f"{method.label} {method.metadata['noise_psnr']:.1f} dB under the {lighting} light"
+             for lighting in LIGHTINGS for method in results[lighting].methods if method.metadata.get("noise_psnr") is not None]
     told = [f"Noise of the pictures alone, as PSNR in the box: {', '.join(parts)}."] if parts else []
     lattice = results[SEEN].about["settings"].get("lattice", 0.0)
     if lattice:

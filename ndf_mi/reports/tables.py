@@ -98,7 +98,7 @@ def duration(seconds: float | None) -> str:
 
 def mesh_note(method: MethodResult) -> str:
     """How a mesh's training went, in one sentence; empty for other methods."""
-    facts = method.facts
+    facts = method.metadata
     if "budget" not in facts:
         return ""
     how = f"trained for {duration(facts['seconds'])}"

@@ -181,13 +181,13 @@ def _table(trade: Trade) -> tuple[list[str], list[list[str]]]:
     for row in trade.rows:
         spread = f"{min(row.seconds):.3f} – {max(row.seconds):.3f}" if row.seconds else "–"
         own = row.field == RUN
-        training = "" if own else f"{row.facts.get('steps') or 0:,} steps, {tables.duration(row.facts.get('training_seconds'))}"
+        training = "" if own else f"{row.metadata.get('steps') or 0:,} steps, {tables.duration(row.metadata.get('training_seconds'))}"
         label = row.label + " †" * (row.session != trade.about["session"])
         rows.append([label, "–" if row.frame_seconds is None else f"{row.frame_seconds:.3f}", spread,
                      "–" if row.memory is None else f"{row.memory / 2**20:.0f}", tables.figure("psnr", row.truth()),
                      tables.figure("box_ssim", row.truth("box_ssim")), tables.figure("psnr", row.converged()),
                      tables.figure("psnr", row.model()), "●" if row.key in on_front else "", training,
-                     tables.duration(row.facts["loading"]) if row.facts.get("loading") is not None else ""])
+                     tables.duration(row.metadata["loading"]) if row.metadata.get("loading") is not None else ""])
     return heads, rows
 
 

@@ -81,7 +81,7 @@ def test_compares_once_and_goes_on_where_it_was(run, capture, tmp_path, monkeypa
     first, watcher = compared(run, capture, tmp_path)
     assert watcher.trained == {"mesh to convergence", "mesh with offsets to convergence"}
     assert [method.key for method in first.methods] == ["ndf", "mesh-converged", "offset-mesh-converged"]
-    assert first.methods[1].facts["rate"] == first.methods[2].facts["rate"] and not first.methods[2].facts["sweep"]
+    assert first.methods[1].metadata["rate"] == first.methods[2].metadata["rate"] and not first.methods[2].metadata["sweep"]
     assert len(watcher.measured_images) == 3 * 3 and watcher.measured_images[-1][1:] == (3, 3)
     assert first.methods[1].mean("novel_view", "box_psnr") > first.methods[0].mean("novel_view", "box_psnr")
     assert (tmp_path / "report.html").stat().st_size > 10_000
@@ -98,8 +98,8 @@ def test_compares_once_and_goes_on_where_it_was(run, capture, tmp_path, monkeypa
     kinds = [f"{kind}-{end}" for kind in ("mesh", "offset-mesh") for end in ("equal-time", "converged")]
     assert [method.key for method in timed.methods] == ["ndf", *kinds]
     for equal, converged in (timed.methods[1:3], timed.methods[3:5]):
-        assert equal.facts["budget"] == 0.5 and equal.facts["rate"] == converged.facts["rate"]
-        assert equal.facts.get("offset_rate") == converged.facts.get("offset_rate")
+        assert equal.metadata["budget"] == 0.5 and equal.metadata["rate"] == converged.metadata["rate"]
+        assert equal.metadata.get("offset_rate") == converged.metadata.get("offset_rate")
     assert {label for label, _, _ in watcher.measured_images} == {"Mesh, equal time", "Mesh with offsets, equal time"}
 
     print_tables(timed)

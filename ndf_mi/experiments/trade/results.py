@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 import json
 import os
 import statistics
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from ndf_mi import files
 from ndf_mi.errors import InputError
@@ -23,8 +24,7 @@ VERSION = 1
 TRUTH = ("box_psnr", "box_ssim", "box_flip")
 
 
-@dataclass
-class Figures:
+class Figures(Struct):
     """Errors of one point in one view; None where not defined, infinite PSNR where there is no error.
 
     Attributes:
@@ -40,16 +40,15 @@ class Figures:
     model: float | None
 
 
-@dataclass
-class Row:
+class Row(Struct):
     """What is known of one point.
 
     Attributes:
         key, axis, label, field: the point's.
         setting: how it is drawn, JSON values.
         by_paths: whether it is path traced, which shows another picture and has a front of its own.
-        fingerprint: of field, setting and views; a changed one makes the figures void.
-        facts: JSON values; of a trained field `steps` and `training_seconds`, of a path traced one `loading` in seconds a frame.
+        cache_key: of field, setting and views; a changed one makes the figures void.
+        metadata: JSON values; of a trained field `steps` and `training_seconds`, of a path traced one `loading` in seconds a frame.
         memory: peak in bytes, as `memory.MEANING` says.
         figures: a view each.
         seconds: a frame, of each repeat the mean over the views timed.
@@ -63,11 +62,11 @@ class Row:
     field: str
     setting: dict[str, Any]
     by_paths: bool
-    fingerprint: str
-    facts: dict[str, Any] = dataclasses.field(default_factory=dict)
+    cache_key: str
+    metadata: dict[str, Any] = {}
     memory: int | None = None
-    figures: list[Figures] = dataclasses.field(default_factory=list)
-    seconds: list[float] = dataclasses.field(default_factory=list)
+    figures: list[Figures] = []
+    seconds: list[float] = []
     session: str = ""
     under: str = ""
 
@@ -99,12 +98,11 @@ def reference_of(field: str, spp: int | None) -> str:
     return f"{field}-converged-{'path' if spp is None else spp}"
 
 
-@dataclass
-class Trade:
+class Trade(Struct):
     """The whole study: `about` holds what the report says of it."""
 
-    about: dict[str, Any] = dataclasses.field(default_factory=dict)
-    rows: list[Row] = dataclasses.field(default_factory=list)
+    about: dict[str, Any] = {}
+    rows: list[Row] = []
 
     def row(self, key: str) -> Row | None:
         """The row of a point, or None."""
@@ -143,8 +141,8 @@ class Trade:
         for row in self.rows:
             cells = [row.key, row.axis, row.label, row.field, "volpath" if row.by_paths else "quadrature",
                      *(row.setting.get(key) for key in turned), row.frame_seconds, min(row.seconds, default=None),
-                     max(row.seconds, default=None), len(row.seconds), row.session, row.facts.get("loading"),
-                     row.facts.get("training_seconds"), row.facts.get("steps"),
+                     max(row.seconds, default=None), len(row.seconds), row.session, row.metadata.get("loading"),
+                     row.metadata.get("training_seconds"), row.metadata.get("steps"),
                      row.memory, *(row.truth(key) for key in TRUTH), row.converged(), row.model()]
             sheet.writerow(["" if cell is None else cell for cell in cells])
         files.write_text(path, stream.getvalue())
@@ -155,8 +153,9 @@ def _to_json(row: Row) -> dict[str, Any]:
                 "converged": metrics.to_json(f.converged), "model": metrics.to_json(f.model)} for f in row.figures]
     means = {**{key: metrics.to_json(row.truth(key)) for key in TRUTH}, "converged": metrics.to_json(row.converged()),
              "model": metrics.to_json(row.model()), "seconds": row.frame_seconds}
-    return {**{key: getattr(row, key) for key in ("key", "axis", "label", "field", "setting", "by_paths", "fingerprint", "facts",
-                                                  "memory", "seconds", "session", "under")}, "means": means, "figures": figures}
+    return {**{key: getattr(row, key) for key in ("key", "axis", "label", "field", "setting", "by_paths", "memory", "seconds", "session",
+                                                  "under")},
+            "fingerprint": row.cache_key, "facts": row.metadata, "means": means, "figures": figures}
 
 
 def _from_json(document: dict[str, Any]) -> Row:

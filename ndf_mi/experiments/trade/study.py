@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 from PIL import Image
 
 from ndf_mi import files, machine
@@ -213,8 +214,8 @@ class TradeStudy:
         fingerprint = self._drawing.fingerprint(point)
         row = Row(point.key, point.axis, point.label, point.field, point.setting.to_dict(), point.by_paths, fingerprint)
         known = self._known.get(point.key)
-        if known is not None and known.fingerprint == fingerprint:
-            row.figures, row.memory, row.facts = known.figures, known.memory, known.facts
+        if known is not None and known.cache_key == fingerprint:
+            row.figures, row.memory, row.metadata = known.figures, known.memory, known.metadata
             row.seconds, row.session, row.under = known.seconds, known.session, known.under
         return row
 
@@ -225,7 +226,7 @@ class TradeStudy:
     def _measure(self, row: Row, point: Point) -> None:
         row.figures, memory = [], 0
         # A scene that is loaded on the way would count as memory of the first point that needs it.
-        row.facts = self._facts(point)
+        row.metadata = self._facts(point)
         for view in self._drawing.views(point):
             picture, peak = peak_memory(lambda: self._drawing.draw(point, view))  # noqa: B023
             memory = max(memory, peak)
@@ -262,7 +263,7 @@ class TradeStudy:
         """Times every point once a repeat, all of them in one view after another, in an order drawn anew: what else the machine does, and
         what it does of itself, hits all alike. Kernels are compiled in a round before, which does not count."""
         conditions = {"machine": self._machine,
-                      "points": [row.fingerprint for row in self._rows], "timed": self._settings.timed}
+                      "points": [row.cache_key for row in self._rows], "timed": self._settings.timed}
         session = _name(conditions)
         if any(row.session != session for row in self._rows):
             for row in self._rows:
@@ -302,7 +303,7 @@ class TradeStudy:
         return {
             "run": {"path": str(self._run.path), "preset": self._run.model.field.preset.name, "digest": self._drawing.digest(RUN)},
             "capture": {"name": self._capture.name, "digest": self._capture.digest},
-            "views": [asdict(view) for view in views],
+            "views": [structs.asdict(view) for view in views],
             "size": [camera.w, camera.h],
             "settings": asdict(self._settings) | {"axes": list(self._settings.axes)},
             "scatters": self._drawing.scatters(self._run),

@@ -52,12 +52,13 @@ def test_measures_every_point_once_and_goes_on_where_it_was(trained_run, capture
     assert [row.key for row in trade.rows] == ["usual", "samples-8", "size-0.5", "own", "width-0.5"]
     for row in trade.rows:
         assert len(row.seconds) == 2 and row.memory > 0 and len(row.figures) == 2
-        assert row.facts["parameters"] > 0
+        assert row.metadata["parameters"] > 0
     fewer = trade.row("samples-8")
     # What eight samples miss is error of rendering, and the model's error is that of the same field in both.
     assert fewer.converged() < trade.row("usual").converged()
     assert fewer.model() == trade.row("usual").model()
-    assert trade.row("width-0.5").facts["steps"] == 2 and trade.row("width-0.5").facts["parameters"] < trade.row("own").facts["parameters"]
+    own, narrow = trade.row("own").metadata, trade.row("width-0.5").metadata
+    assert narrow["steps"] == 2 and narrow["parameters"] < own["parameters"]
 
     page = (tmp_path / REPORT).read_text()
     assert page.count("<svg") == len(groups(trade)) == 3 and page.count("<img") >= 12
@@ -175,7 +176,7 @@ def test_path_tracing_is_a_trade_of_its_own(trained_run, capture, tmp_path, monk
     few, shell, lattice = trade.row("path-2"), trade.row("path-shell"), trade.row("path-lattice-12-8")
     # A field trained by quadrature is lit twice by paths: the truth says nothing about it.
     assert few.truth() is None and few.converged() < shell.converged()
-    assert few.facts["loading"] > 0 and len(few.figures) == 1
+    assert few.metadata["loading"] > 0 and len(few.figures) == 1
     assert few.converged() < lattice.converged() and "lattice" not in few.setting
     assert [group.title for group in groups(trade)][-1] == "Path tracing"
 
