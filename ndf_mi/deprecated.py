@@ -104,8 +104,12 @@ class ReplacedOption:
             return None
         _refuse_both(self.old, self.new, arguments)
         if value is None or value not in self.values:
-            raise InputError(self.old, "no value" if value is None else repr(value), "one of " + ", ".join(self.values),
-                             f"{self.old} is deprecated: use {self.new}.")
+            raise InputError(
+                self.old,
+                "no value" if value is None else repr(value),
+                "one of " + ", ".join(self.values),
+                f"{self.old} is deprecated: use {self.new}.",
+            )
         replacement = self.values[value]
         warn(f"{self.old} {value}", " ".join(replacement) or f"{self.new}, whose default is the same")
         return replacement
@@ -115,7 +119,7 @@ def rewrite_arguments(arguments: Sequence[str], options: Iterable[DeprecatedOpti
     """A command line with deprecated options replaced by today's, each with a warning.
 
     Args:
-        arguments: a command's arguments, as ``--name value`` or ``--name=value``; underscores in names count as hyphens.
+        arguments: a command's arguments, ``--name value`` or ``--name=value``; underscores in names count as hyphens.
         options: the command's deprecated options.
 
     Raises:
@@ -160,14 +164,16 @@ def rename_parameter(props: Any, plugin: str, old: str, new: str) -> None:
     if old not in props:
         return
     if new in props:
-        raise InputError(f"{plugin}: {old}", f"it together with {new}", f"{new} alone", f"{old} is the old name of {new}.")
+        raise InputError(
+            f"{plugin}: {old}", f"it together with {new}", f"{new} alone", f"{old} is the old name of {new}."
+        )
     warn(f"{plugin}: parameter {old}", new)
     props[new] = props[old]
     del props[old]
 
 
 def rename_entries(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
-    """`values` with old keys replaced by today's, for entries read from a file. Where both are there, today's wins.
+    """Entries read from a file, with old keys replaced by new ones. Where both are there, the new one wins.
 
     Args:
         names: old key → new key, such as :data:`PRESET_FIELDS`.
