@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import mitsuba as mi
-import numpy as np
 
 from ndf_mi.errors import InputError
+from ndf_mi.mitsuba_mesh import make_mesh
 from ndf_mi.plugins.ndf import find_run, frame_of, offset_of
 from ndf_mi.render.shell import band_shell
 from ndf_mi.run import Run
@@ -94,7 +94,8 @@ def make_shell(props: mi.Properties) -> mi.Object:
     if layers == 0:
         preset = run.model.field.preset
         vertices = mi.Float((run.poses.vertices[run.poses.index(frame)] + offset).ravel()) if field is None else field.vertices
-        return _mesh(props, *band_shell(run.model.surface, vertices, preset.band, cell, preset.band_inside))
+        shell = band_shell(run.model.surface, vertices, preset.band, cell, preset.band_inside)
+        return make_mesh("ndf_shell", *shell, props=props)
     if field is None:
         raise InputError("ndf_shell: layers", f"{layers} around no `ndf` medium", "an `ndf` medium as its interior")
     shells, media = field.nest(layers, cell)
@@ -109,7 +110,7 @@ def make_shell(props: mi.Properties) -> mi.Object:
             own["exterior"] = media[index - 1]
         elif "exterior" in props:
             own["exterior"] = props["exterior"]
-        group[f"shell_{index}"] = _mesh(own, vertices, faces)
+        group[f"shell_{index}"] = make_mesh("ndf_shell", vertices, faces, props=own)
     return mi.PluginManager.instance().create_object(group)
 
 
@@ -120,15 +121,6 @@ def _bsdf(props: mi.Properties) -> mi.BSDF:
             return props[name]
     props["bsdf"] = mi.PluginManager.instance().create_object(mi.Properties("null"))
     return props["bsdf"]
-
-
-def _mesh(props: mi.Properties, vertices: np.ndarray, faces: np.ndarray) -> mi.Mesh:
-    mesh = mi.Mesh("ndf_shell", len(vertices), len(faces), props=props)
-    params = mi.traverse(mesh)
-    params["vertex_positions"] = mi.Float(np.ascontiguousarray(vertices).ravel())
-    params["faces"] = mi.UInt32(np.ascontiguousarray(faces).ravel())
-    params.update()
-    return mesh
 
 
 def register() -> None:

@@ -16,6 +16,7 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.document import Document, Split
 from ndf_mi.capture.writer import CaptureWriter
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
+from ndf_mi.mitsuba_mesh import make_mesh
 
 SIZE = 48
 BACKGROUND = (0.2, 0.3, 0.4)
@@ -67,12 +68,8 @@ def draw(body: Body, vertices: np.ndarray, camera: Camera, colours: np.ndarray |
     properties = mi.Properties()
     radiance = {"type": "mesh_attribute", "name": "vertex_colour"}
     properties["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
-    mesh = mi.Mesh("truth", len(corners), len(body.faces), props=properties)
-    mesh.add_attribute("vertex_colour", 3, srgb_to_linear(colours).astype(np.float32).ravel())
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = vertices[corners].ravel()
-    parameters["faces"] = np.arange(len(corners), dtype=np.uint32)
-    parameters.update()
+    mesh = make_mesh("truth", vertices[corners], np.arange(len(corners)).reshape(-1, 3),
+                     attributes={"vertex_colour": srgb_to_linear(colours)}, props=properties)
     scene = mi.load_dict({"type": "scene", "mesh": mesh, "integrator": {"type": "path", "max_depth": 1}})
     sensor = mi.load_dict(camera.sensor(spp=64, sampler="multijitter"))
     rgba = mi.render(scene, sensor=sensor, spp=64).numpy()

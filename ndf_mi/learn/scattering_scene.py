@@ -12,6 +12,7 @@ import numpy as np
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.errors import InputError
+from ndf_mi.mitsuba_mesh import make_mesh, set_faces, set_vertices
 from ndf_mi.model import PosedModel
 from ndf_mi.render.bake import Baked, bake
 from ndf_mi.render.shell import band_shell
@@ -77,8 +78,8 @@ class ScatteringScene:
         self._medium.fill(self._nodes, low, baked.densest)
         if frame != self._frame:
             vertices, faces = self._shells[frame]
-            self._parameters["performer.vertex_positions"] = mi.Float(vertices.ravel())
-            self._parameters["performer.faces"] = mi.UInt32(faces.ravel())
+            set_vertices(self._parameters, vertices, "performer")
+            set_faces(self._parameters, faces, "performer")
             self._parameters.update()
             self._frame = frame
         return baked
@@ -120,9 +121,4 @@ def _shell(medium: mi.Medium, vertices: np.ndarray, faces: np.ndarray) -> mi.Mes
     props.set_id("performer")
     props["bsdf"] = mi.load_dict({"type": "null"})
     props["interior"] = medium
-    mesh = mi.Mesh("performer", len(vertices), len(faces), props=props)
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = mi.Float(vertices.ravel())
-    parameters["faces"] = mi.UInt32(faces.ravel())
-    parameters.update()
-    return mesh
+    return make_mesh("performer", vertices, faces, props=props)

@@ -13,6 +13,7 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.learn.loss import NoisyLoss
 from ndf_mi.methods.lit import Lit
+from ndf_mi.mitsuba_mesh import make_mesh
 from ndf_mi.render.replay import Replay
 from ndf_mi.surface.texture_fit import TextureFit
 from ndf_mi.surface.textured import Rectangle, TexturedSurface
@@ -41,10 +42,10 @@ class LitSurface(TexturedSurface):
         self._noisy = NoisyLoss(TRAIN_SPP)
         self._places = mi.load_dict({"type": "independent"})
 
-    def _empty_mesh(self, vertices: int, faces: int) -> mi.Mesh:
+    def _make_mesh(self, vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray) -> mi.Mesh:
         props = mi.Properties()
         props["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": self._bitmap}})
-        return mi.Mesh("body", vertices, faces, has_vertex_normals=True, has_vertex_texcoords=True, props=props)
+        return make_mesh("body", vertices, faces, uv=uv, smooth=True, props=props)
 
     def _make_scene(self, mesh: mi.Mesh) -> mi.Scene:
         return mi.load_dict({"type": "scene", "body": mesh, **self._lights})

@@ -13,6 +13,7 @@ from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.synthesise.surface import vertex_normals
 from ndf_mi.errors import InputError
+from ndf_mi.mitsuba_mesh import make_mesh, set_vertices
 
 #: Cosine between normal and view below which a pixel is left out: it spans several of its neighbours' surface.
 GRAZING = 0.35
@@ -143,16 +144,12 @@ class _Caster:
     """First hits of pixels' rays on the body, by Mitsuba."""
 
     def __init__(self, faces: np.ndarray, vertices: int) -> None:
-        mesh = mi.Mesh("body", vertices, len(faces))
-        parameters = mi.traverse(mesh)
-        parameters["faces"] = mi.UInt32(np.ascontiguousarray(faces, dtype=np.uint32).ravel())
-        parameters.update()
-        self._scene = mi.load_dict({"type": "scene", "body": mesh})
+        self._scene = mi.load_dict({"type": "scene", "body": make_mesh("body", np.zeros((vertices, 3)), faces)})
         self._parameters = mi.traverse(self._scene)
 
     def pose(self, vertices: np.ndarray) -> None:
         """Moves the body to (V, 3) world vertices."""
-        self._parameters["body.vertex_positions"] = mi.Float(np.ascontiguousarray(vertices, dtype=np.float32).ravel())
+        set_vertices(self._parameters, vertices, "body")
         self._parameters.update()
 
     def cast(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.mitsuba_mesh import triangles
 from ndf_mi.render.shell import band_points
 from ndf_mi.render.transport_scene import lets_light_in
 
@@ -167,9 +168,9 @@ def _shape_faults(scene: mi.Scene, shape: Any) -> list[str]:
                      "<bsdf type=\"null\"/>.")
     if shape.class_name() in OPEN:
         return [*found, f"{name}: a {shape.class_name()} encloses nothing. Use a closed shape, such as an `ndf_shell`."]
-    params = mi.traverse(shape)
-    if "vertex_positions" in params:
-        edges = open_edges(*(params[key].numpy().reshape(-1, 3) for key in ("vertex_positions", "faces")))
+    mesh = triangles(shape)
+    if mesh is not None:
+        edges = open_edges(*mesh)
         if edges:
             return [*found, f"{name}: is not closed ({edges} open edges), so that light enters its medium without notice, or never leaves "
                             "it. Close the mesh, or use an `ndf_shell`."]

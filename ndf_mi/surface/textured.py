@@ -9,6 +9,7 @@ import numpy as np
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.colour import srgb_to_linear
+from ndf_mi.mitsuba_mesh import make_mesh, set_vertices
 from ndf_mi.surface.texture import split_seams
 
 Rectangle = tuple[int, int, int, int]
@@ -41,22 +42,15 @@ class TexturedSurface:
             }
         )
         self._bitmap_parameters = mi.traverse(self._bitmap)
-        mesh = self._empty_mesh(len(self._source), len(faces))
-        parameters = mi.traverse(mesh)
-        parameters["vertex_positions"] = self._vertices(int(capture.poses.frames[0]))
-        parameters["faces"] = faces.ravel()
-        parameters["vertex_texcoords"] = (uv * [1, -1] + [0, 1]).astype(np.float32).ravel()
-        parameters.update()
-        self._scene = self._make_scene(mesh)
+        vertices = self._vertices(int(capture.poses.frames[0]))
+        self._scene = self._make_scene(self._make_mesh(vertices, faces, uv * [1, -1] + [0, 1]))
         self._parameters = mi.traverse(self._scene)
-        self._key = next(key for key in self._parameters.keys() if key.startswith("body") and key.endswith("vertex_positions"))
 
-    def _empty_mesh(self, vertices: int, faces: int) -> mi.Mesh:
-        """A mesh of that size, to be filled."""
-        return mi.Mesh("body", vertices, faces, has_vertex_texcoords=True)
+    def _make_mesh(self, vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray) -> mi.Mesh:
+        return make_mesh("body", vertices, faces, uv=uv)
 
     def _make_scene(self, mesh: mi.Mesh) -> mi.Scene:
-        """The scene of the filled mesh."""
+        """The scene, with the mesh as ``body``."""
         return mi.load_dict({"type": "scene", "body": mesh})
 
     def set_frame(self, frame: int) -> None:
@@ -114,9 +108,9 @@ class TexturedSurface:
         """Whether rays meet the body before their end."""
         return self._scene.ray_test(ray, active)
 
-    def _move(self, vertices: mi.Float) -> None:
-        self._parameters[self._key] = vertices
+    def _move(self, vertices: np.ndarray | mi.Float) -> None:
+        set_vertices(self._parameters, vertices, "body")
         self._parameters.update()
 
-    def _vertices(self, frame: int) -> mi.Float:
-        return mi.Float(self._poses.vertices[self._poses.index(frame)][self._source].astype(np.float32).ravel())
+    def _vertices(self, frame: int) -> np.ndarray:
+        return self._poses.vertices[self._poses.index(frame)][self._source]

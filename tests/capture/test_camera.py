@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.images import undistort_image, undistort_mask
+from ndf_mi.mitsuba_mesh import make_mesh
 
 
 def turned_camera(**changes: object) -> Camera:
@@ -64,12 +65,7 @@ def test_the_sensor_puts_pixels_where_project_says(crop: tuple[int, int, int, in
     camera = turned_camera()
     corners = points_in_view(camera, 3)
     scene: dict = {"type": "scene", "integrator": {"type": "direct"}, "sensor": camera.sensor(spp=64, crop=crop)}
-    mesh = mi.Mesh("triangle", 3, 1)
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = mi.Float(corners.ravel().astype(np.float32))
-    parameters["faces"] = mi.UInt32([0, 1, 2])
-    parameters.update()
-    scene["mesh"] = mesh
+    scene["mesh"] = make_mesh("triangle", corners, np.array([[0, 1, 2]]))
     covered = np.array(mi.render(mi.load_dict(scene)))[..., 3]
 
     sub = (np.arange(8) + 0.5) / 8

@@ -28,6 +28,7 @@ from ndf_mi.capture.synthesise.ring import camera_ring
 from ndf_mi.capture.synthesise.studio import Studio
 from ndf_mi.capture.synthesise.synthesise import synthesise
 from ndf_mi.errors import InputError
+from ndf_mi.mitsuba_mesh import make_mesh
 
 TINY = plan.SIZES["tiny"]
 
@@ -55,11 +56,7 @@ def posed(performer: Performer, poses: Poses, row: int) -> list[np.ndarray]:
 def silhouette(capture: Capture, camera: str, frame: int) -> np.ndarray:
     """Pixels wholly covered by the naked body, ray traced by Mitsuba."""
     vertices = capture.poses.vertices[capture.poses.index(frame)]
-    mesh = mi.Mesh("naked", len(vertices), len(capture.body.faces))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = mi.Float(vertices.ravel())
-    parameters["faces"] = mi.UInt32(capture.body.faces.ravel().astype(np.uint32))
-    parameters.update()
+    mesh = make_mesh("naked", vertices, capture.body.faces)
     sensor = capture.cameras[camera].sensor(spp=16)
     scene = mi.load_dict({"type": "scene", "integrator": {"type": "direct"}, "sensor": sensor, "mesh": mesh})
     return np.array(mi.render(scene))[..., 3] > 0.99

@@ -12,6 +12,7 @@ from scipy.ndimage import maximum_filter
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.synthesise import lighting
 from ndf_mi.capture.synthesise.layers import Layer
+from ndf_mi.mitsuba_mesh import make_mesh, set_vertices
 
 _MAX_DEPTH = 3
 
@@ -28,11 +29,11 @@ class Studio:
     def __init__(self, layers: Sequence[Layer], spp: int, light: str = lighting.DEFAULT) -> None:
         self._light = lighting.light(light)
         scene: dict = {"type": "scene"} if self._light.flat else {"type": "scene", "light": lighting.emitter(light)}
-        self._keys = []
+        self._names = []
         for i, layer in enumerate(layers):
             name = f"layer{i}"
             scene[name] = _mesh(name, layer, self._light.flat)
-            self._keys.append(f"{name}.vertex_positions")
+            self._names.append(name)
         self._scene = mi.load_dict(scene)
         self._parameters = mi.traverse(self._scene)
         self._integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH, "hide_emitters": not self._light.flat})
@@ -45,8 +46,8 @@ class Studio:
         """Moves the layers to these world vertices, (N, 3) each, and turns a light that is carried to `heading`, radians around y."""
         if self._light.carried:
             self._parameters["light.to_world"] = mi.Transform4f().rotate([0, 1, 0], float(np.degrees(heading)))
-        for key, vertices in zip(self._keys, layers, strict=True):
-            self._parameters[key] = mi.Float(np.ascontiguousarray(vertices, dtype=np.float32).ravel())
+        for name, vertices in zip(self._names, layers, strict=True):
+            set_vertices(self._parameters, vertices, name)
         self._parameters.update()
         self._points = np.concatenate(list(layers))
         self._edge = max(_longest_edge(vertices, faces) for vertices, faces in zip(layers, self._faces, strict=True))
@@ -93,13 +94,7 @@ def _mesh(name: str, layer: Layer, flat: bool) -> mi.Mesh:
         properties["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_color"}})
     else:
         properties["mesh_bsdf"] = mi.load_dict(lighting.MATERIALS[layer.material])
-    mesh = mi.Mesh(name, len(layer.rest), len(layer.faces), has_vertex_normals=True, props=properties)
-    mesh.add_attribute("vertex_color", 3, np.ascontiguousarray(layer.colour, dtype=np.float32).ravel())
-    parameters = mi.traverse(mesh)
-    parameters["faces"] = mi.UInt32(np.ascontiguousarray(layer.faces, dtype=np.uint32).ravel())
-    parameters["vertex_positions"] = mi.Float(np.ascontiguousarray(layer.rest, dtype=np.float32).ravel())
-    parameters.update()
-    return mesh
+    return make_mesh(name, layer.rest, layer.faces, smooth=True, attributes={"vertex_color": layer.colour}, props=properties)
 
 
 def _longest_edge(vertices: np.ndarray, faces: np.ndarray) -> float:

@@ -22,6 +22,7 @@ from ndf_mi.capture.readers.zju import SUBJECTS, read_zju
 from ndf_mi.commands import main
 from ndf_mi.errors import InputError
 from ndf_mi.experiments.protocols import ZJU
+from ndf_mi.mitsuba_mesh import make_mesh
 
 cv2 = pytest.importorskip("cv2")
 
@@ -43,12 +44,7 @@ CHOSEN = {"rows": (0, 150, 300, 450), "cameras": (0, 1, 6, 8, 12, 18)}
 
 def silhouette(camera: Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(h, w) bool: where Mitsuba, looking through the imported camera, sees the mesh."""
-    mesh = mi.Mesh("body", len(vertices), len(faces))
-    parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = vertices.astype(np.float32).ravel()
-    parameters["faces"] = faces.astype(np.uint32).ravel()
-    parameters.update()
-    scene = mi.load_dict({"type": "scene", "mesh": mesh, "integrator": {"type": "direct"}})
+    scene = mi.load_dict({"type": "scene", "mesh": make_mesh("body", vertices, faces), "integrator": {"type": "direct"}})
     rgba = mi.render(scene, sensor=mi.load_dict(camera.sensor(spp=16)), spp=16).numpy()
     return rgba[..., 3] > 0.5
 
