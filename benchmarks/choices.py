@@ -91,7 +91,7 @@ def trained(capture: Capture, options: Options, entries: tuple[str, ...]) -> tup
             dr.sync_thread()
             seconds.append(time.perf_counter() - begun)
         trainer.publish()
-    return float(np.median(seconds[-300:])), trainer.progress.evaluated, NeuralField(trainer.run, options.samples)
+    return float(np.median(seconds[-300:])), trainer.progress.evaluated, NeuralField.of(trainer.run, options.samples)
 
 
 def measure(capture: Capture, view: View, method: NeuralField) -> tuple[float, ...]:

@@ -230,7 +230,7 @@ def study(name: str, capture: Capture, presets: dict[str, Preset], options: Opti
         seconds = np.array([[_timed(trainer) for trainer in trainers] for _ in steps])
         for trainer in trainers:
             trainer.publish()
-        methods = [NeuralField(trainer.run, options.samples) for trainer in trainers]
+        methods = [NeuralField.of(trainer.run, options.samples) for trainer in trainers]
         taken: list[list[list[float]]] = [[] for _ in rows]
         for camera, frame in capture.splits["novel_view"]:
             truth = capture.image(camera, frame)

@@ -17,7 +17,7 @@ from ndf_mi import files
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.document import Document, Split
 from ndf_mi.capture.writer import CaptureWriter
-from ndf_mi.methods.lit import Lit
+from ndf_mi.methods.lit import LitRenderer
 
 SIZE = 24
 BACKGROUND = (0.5, 0.5, 0.5)
@@ -67,7 +67,7 @@ def lit_capture(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, drawn:
                                       "type": "ndf", "run": str(run.path), "frame": frame}}})
             path = mi.load_dict({"type": "volpath", "max_depth": 6, "hide_emitters": True})
             for camera in (camera for camera, of in document.images() if of == frame):
-                image, _ = Lit(scene, path, np.array(BACKGROUND), spp).render(cameras[camera], whole, frame)
+                image, _ = LitRenderer(scene, path, np.array(BACKGROUND), spp).render(cameras[camera], whole, frame)
                 mask = np.abs(image - BACKGROUND).max(-1) > 0.02
                 mask[SIZE // 2, SIZE // 2] = True
                 writer.write(camera, frame, np.where(mask[..., None], image, BACKGROUND), mask)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -110,3 +112,18 @@ def write_capture(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], P
 @pytest.fixture(scope="session")
 def capture(write_capture: Callable[[str], Path]) -> Capture:
     return Capture.read(write_capture("sphere"))
+
+
+def with_body(capture: Capture, body: Body, poses: Poses) -> Capture:
+    """The capture with another body in its place; the images stay."""
+    changed = copy.copy(capture)
+    changed.body, changed.poses = body, poses
+    return changed
+
+
+@pytest.fixture(scope="session")
+def shrunk_capture(capture: Capture) -> Capture:
+    """The capture with a body of 0.45 m instead of the 0.5 m that its images show."""
+    body = dataclasses.replace(capture.body, template=0.9 * capture.body.template)
+    vertices = capture.poses.vertices - 0.1 * capture.body.template
+    return with_body(capture, body, dataclasses.replace(capture.poses, vertices=vertices))

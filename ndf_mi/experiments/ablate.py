@@ -109,8 +109,8 @@ class Study:
         for number, name in enumerate(self.names, start=1):
             run = trained(self.folder / name, self._capture, *self._wanted[name],
                           lambda: training(name, number, len(self.names)))  # noqa: B023
-            method = NeuralField(run, self._settings.samples)
-            result = MethodResult(name, ablation(name).title, method.fingerprint(), method.facts())
+            method = NeuralField.of(run, self._settings.samples)
+            result = MethodResult(name, ablation(name).title, method.cache_key(), method.metadata())
             known = self._known.get(name)
             if known is not None and known.cache_key == result.cache_key:
                 result.images = known.images
@@ -152,7 +152,7 @@ class Study:
             expect_options(run, self._capture, *ablation(row.key).apply(*self._full))
         except InputError:
             return False
-        return NeuralField(run, self._settings.samples).fingerprint() == row.cache_key
+        return NeuralField.of(run, self._settings.samples).cache_key() == row.cache_key
 
     def _about(self, command: str, preset: Preset, options: TrainingOptions) -> dict[str, Any]:
         splits = self._capture.splits

@@ -14,33 +14,17 @@ from ndf_mi.experiments import protocols
 from ndf_mi.experiments.evaluate import choose_views, evaluate, measured, to_render
 from ndf_mi.experiments.flicker import choose_sequences
 from ndf_mi.experiments.records import MethodResult, Results
-from ndf_mi.learn.loop import expect_capture
-from ndf_mi.learn.scattering import SCATTERING
-from ndf_mi.methods.base import Method
-from ndf_mi.methods.mesh import TexturedMesh
-from ndf_mi.methods.ndf import NeuralField
-from ndf_mi.methods.offset_mesh import OffsetMesh
+from ndf_mi.methods import registry
+from ndf_mi.methods.base import Budget, Method, Renderer
 from ndf_mi.reports.compare import write_report
 from ndf_mi.run import Run
+from ndf_mi.training_log import read_training_log
 
 RESULTS = "compare.json"
 REPORT = "report.html"
 WORK = "compare"
 PICTURES = "pictures"
 OFFSETS = ("all", "equal-time", "none")
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of mesh: the prefix of its folders, its name for people, and its class."""
-
-    key: str
-    label: str
-    type: type[TexturedMesh]
-
-
-MESH = Kind("mesh", "Mesh", TexturedMesh)
-OFFSET_MESH = Kind("offset-mesh", "Mesh with offsets", OffsetMesh)
 
 
 @dataclass(frozen=True)
@@ -123,14 +107,10 @@ class Comparison:
         self.settings = settings
         self._run = Run.load(run)
         self._capture = Capture.read(capture)
-        expect_capture(self._run, self._capture)
-        integrator = (self._run.config.get("training") or {}).get("integrator")
-        if integrator in SCATTERING:
-            raise InputError(f"{self._run.path / 'config.json'}: training.integrator", repr(integrator), "a run trained by ndf_quadrature",
-                             "Its colours are an albedo, and do not shine: show it by `ndf-mi relight`.")
-        self._field = NeuralField(self._run, settings.samples)
+        self._field = registry.entry("ndf").create({"samples": settings.samples})
+        self._field.load(run, self._capture)
         self._budget = self._mesh_seconds()
-        self._rates: dict[str, float] = {}
+        self._tuned: dict[str, Any] = {}
         self._protocol = protocols.named(settings.protocol)
         self._views = choose_views(self._capture, settings.max_images, settings.seed, self._protocol)
         self._sequences = choose_sequences(self._capture, settings.sequence)
@@ -139,57 +119,57 @@ class Comparison:
 
     def run(self, watcher: Watcher) -> Results:
         """Trains the meshes, measures every method; `compare.json` after each image, `report.html` at the end."""
-        meshes = self._meshes(MESH, watcher, converge=True)
+        meshes = self._meshes("mesh", watcher, converge=True)
         if self.settings.offsets != "none":
-            meshes |= self._meshes(OFFSET_MESH, watcher, converge=self.settings.offsets == "all")
-        self._measure("ndf", "NDF", self._field, self._field.fingerprint(), watcher)
+            meshes |= self._meshes("offset-mesh", watcher, converge=self.settings.offsets == "all")
+        self._measure("ndf", self._field.label, self._field, watcher)
         for key, (mesh, label) in meshes.items():
-            self._measure(key, label, mesh, mesh.fingerprint(), watcher)
+            self._measure(key, label, mesh, watcher)
         self.results.methods = [method for method in self.results.methods if method.key in {"ndf", *meshes}]
         self.results.write(self.folder / RESULTS)
-        write_report(self.folder / REPORT, self.results, self._capture, self._work / PICTURES, self._field.history)
+        write_report(self.folder / REPORT, self.results, self._capture, self._work / PICTURES, read_training_log(self._run.path))
         return self.results
 
-    def _meshes(self, kind: Kind, watcher: Watcher, converge: bool) -> dict[str, tuple[TexturedMesh, str]]:
+    def _meshes(self, key: str, watcher: Watcher, converge: bool) -> dict[str, tuple[Method, str]]:
         """The meshes of a kind and their labels, by their keys."""
-        meshes: dict[str, tuple[TexturedMesh, str]] = {}
+        meshes: dict[str, tuple[Method, str]] = {}
         if converge:
-            converged = self._mesh(kind, f"{kind.key}-converged", None, watcher)
-            meshes = {f"{kind.key}-converged": (converged, f"{kind.label}, to convergence")}
+            converged = self._mesh(key, f"{key}-converged", None, watcher)
+            meshes = {f"{key}-converged": (converged, f"{converged.label}, to convergence")}
             if self._stands_for_equal_time(converged):
                 return meshes
-        equal = self._mesh(kind, f"{kind.key}-equal-time", self._budget, watcher)
-        return {f"{kind.key}-equal-time": (equal, f"{kind.label}, equal time"), **meshes}
+        equal = self._mesh(key, f"{key}-equal-time", self._budget, watcher)
+        return {f"{key}-equal-time": (equal, f"{equal.label}, equal time"), **meshes}
 
-    def _stands_for_equal_time(self, converged: TexturedMesh) -> bool:
+    def _stands_for_equal_time(self, converged: Method) -> bool:
         """Whether the converged mesh took no longer than the run, so that equal time has nothing to add to it.
 
         A budget that the user gave is always trained for.
         """
-        facts = converged.facts()
+        facts = converged.metadata()
         return self.settings.mesh_seconds is None and facts["converged"] and facts["seconds"] <= self._budget
 
-    def _mesh(self, kind: Kind, key: str, budget: float | None, watcher: Watcher) -> TexturedMesh:
+    def _mesh(self, kind: str, key: str, budget: float | None, watcher: Watcher) -> Method:
         """The mesh of this kind and budget, from the folder if one of the same settings is there."""
         folder = self._work / key
-        wanted: dict[str, Any] = {"size": self.settings.texture, "seed": self.settings.seed, "capture": self._capture.digest}
+        wanted: dict[str, Any] = {"size": self.settings.texture, "seed": self.settings.seed}
+        options = {"texture": self.settings.texture, **self._tuned}
+        mesh = registry.entry(kind).create(options)
         if (folder / "mesh.json").exists():
-            mesh = kind.type.load(folder, self._capture)
-            facts = mesh.facts()
+            mesh.load(folder, self._capture)
+            facts = mesh.metadata()
             if all(facts[name] == value for name, value in wanted.items()) and self._same_time(facts["budget"], budget):
-                self._note_rates(mesh)
+                self._tuned |= facts["tuned"]
                 return mesh
-        rates = {name: rate for name, rate in self._rates.items() if name in kind.type.facts_type.__dataclass_fields__}
-        mesh = kind.type(self._capture, self.settings.texture, **rates)
-        label = f"{kind.label.lower()} {'to convergence' if budget is None else 'of equal time'}"
+            mesh = registry.entry(kind).create(options)
+        label = f"{mesh.label.lower()} {'to convergence' if budget is None else 'of equal time'}"
         mesh.fit(
             self._capture,
-            budget,
-            self.settings.seed,
+            Budget(budget, self.settings.seed),
             lambda seconds, step, loss: watcher.training(label, seconds, budget, step, loss),
         )
         mesh.save(folder)
-        self._note_rates(mesh)
+        self._tuned |= mesh.metadata()["tuned"]
         return mesh
 
     def _same_time(self, trained: float | None, wanted: float | None) -> bool:
@@ -199,15 +179,10 @@ class Comparison:
             return trained == wanted
         return abs(trained - wanted) <= 0.01 * wanted
 
-    def _note_rates(self, mesh: TexturedMesh) -> None:
-        """Keeps the rates that a sweep found for the meshes to come: the same sweep would find them again."""
-        facts = mesh.facts()
-        self._rates |= {name: facts[name] for name in ("rate", "offset_rate") if name in facts}
-
-    def _measure(self, key: str, label: str, method: Method, fingerprint: str, watcher: Watcher) -> None:
+    def _measure(self, key: str, label: str, method: Renderer, watcher: Watcher) -> None:
         known = self.results.method(key)
-        result = MethodResult(key, label, fingerprint, method.facts())
-        if known is not None and known.cache_key == fingerprint:
+        result = MethodResult(key, label, method.cache_key(), method.metadata())
+        if known is not None and known.cache_key == result.cache_key:
             result.images = known.images
         # What an earlier call measured of the other methods stays, until their turn comes.
         self.results.methods = [method for method in self.results.methods if method.key != key] + [result]
@@ -221,7 +196,7 @@ class Comparison:
         evaluate(method, result, self._capture, self._views, self._work / PICTURES / key, done, self._sequences)
 
     def _mesh_seconds(self) -> float:
-        seconds = self.settings.mesh_seconds or self._field.facts()["seconds"]
+        seconds = self.settings.mesh_seconds or self._field.metadata()["seconds"]
         if not seconds:
             raise InputError(
                 f"{self._run.path / 'config.json'}: trained",

@@ -18,7 +18,7 @@ from ndf_mi.experiments import metrics
 from ndf_mi.experiments.flicker import measure_flicker
 from ndf_mi.experiments.protocols import OURS, Protocol
 from ndf_mi.experiments.records import FrameSequence, Measured, MethodResult, View
-from ndf_mi.methods.base import Method
+from ndf_mi.methods.base import Renderer
 
 SPLITS = ("novel_view", "novel_pose", "sequence", "train")
 LABELS = {"novel_view": "novel views", "novel_pose": "novel poses", "sequence": "successive frames", "train": "training views"}
@@ -70,7 +70,7 @@ def _counted(views: Sequence[View], sequences: Sequence[FrameSequence]) -> set[V
 
 
 def evaluate(
-    method: Method,
+    method: Renderer,
     result: MethodResult,
     capture: Capture,
     views: Sequence[View],
@@ -105,7 +105,7 @@ def evaluate(
     result.flicker = [measure_flicker(capture, sequence, pictures) for sequence in sequences]
 
 
-def _measure(method: Method, capture: Capture, view: View, pictures: Path) -> Measured:
+def _measure(method: Renderer, capture: Capture, view: View, pictures: Path) -> Measured:
     camera = capture.cameras[view.camera]
     start = time.perf_counter()
     image = method.render(camera, view.frame)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,13 +14,10 @@ from ndf_mi.errors import InputError
 from ndf_mi.experiments.compare import PICTURES, Watcher
 from ndf_mi.experiments.evaluate import choose_views, evaluate, measured
 from ndf_mi.experiments.records import MethodResult, Results, View
-from ndf_mi.learn.loop import expect_capture
-from ndf_mi.learn.scattering import SCATTERING
-from ndf_mi.methods.base import Method
-from ndf_mi.methods.lit_field import LitField
-from ndf_mi.methods.lit_mesh import LitMesh
+from ndf_mi.methods.base import Budget, Light, Renderer
+from ndf_mi.methods.lit_field import RelightableField
+from ndf_mi.methods.lit_mesh import RelightableMesh
 from ndf_mi.render.lights import lights
-from ndf_mi.run import Run
 
 SEEN, UNSEEN = "seen", "unseen"
 LIGHTINGS = (SEEN, UNSEEN)
@@ -81,22 +77,12 @@ class Relighting:
     ) -> None:
         self.folder = Path(folder)
         self.settings = settings
-        self._run = Run.load(run)
-        training = self._run.config.get("training") or {}
-        if training.get("integrator") not in SCATTERING:
-            raise InputError(f"{self._run.path / 'config.json'}: training.integrator", repr(training.get("integrator", "ndf_quadrature")),
-                             f"one of {', '.join(SCATTERING)}: the colours of other runs hold the light they were seen in",
-                             "Train one by: ndf-mi optimise CAPTURE -o RUN --integrator prbvolpath")
-        if not self._run.scattered:
-            raise InputError(f"{self._run.path / 'config.json'}: trained.steps", str(self._run.config["trained"]["steps"]),
-                             f"more than the {training['warm_up']} steps by quadrature (warm_up), whose colours hold the light they were "
-                             "seen in", "Go on by: ndf-mi optimise CAPTURE -o RUN --resume. If it has come to its end, train anew, with "
-                             "more steps or seconds, or a smaller warm_up.")
-        self._depth = int(training["max_depth"])
+        self._run = Path(run)
         self.captures = {SEEN: Capture.read(capture), UNSEEN: Capture.read(under)}
-        expect_capture(self._run, self.captures[SEEN])
+        self._field = RelightableField(settings.lattice)
+        self._field.load(run, self.captures[SEEN])
         _expect_same_performance(self.captures[SEEN], self.captures[UNSEEN])
-        self._lights = {name: lights(known.known_lighting()) for name, known in self.captures.items()}
+        self._lights = {name: Light(name, lights(known.known_lighting())) for name, known in self.captures.items()}
         self._views = {name: _held_out(choose_views(known, settings.max_images, settings.seed)) for name, known in self.captures.items()}
         self.results = {name: self._known(name, command) for name in LIGHTINGS}
 
@@ -109,41 +95,38 @@ class Relighting:
         mesh = self._mesh(watcher)
         for lighting in LIGHTINGS:
             frames = sorted({view.frame for view in self._views[lighting]})
-            field = LitField(
-                self._run, self._lights[lighting], lighting, self.settings.spp, self._depth, frames, self.settings.lattice)
-            self._measure(lighting, "ndf", "NDF", field, field.fingerprint(), field.noise, watcher)
-            shown = mesh.under(self.captures[SEEN], self._lights[lighting], lighting, self.settings.spp)
-            self._measure(lighting, MESH, "Diffuse mesh", shown, shown.fingerprint(), shown.noise, watcher)
+            for method in (self._field, mesh):
+                self._measure(lighting, method.under(self._lights[lighting], frames, self.settings.spp), watcher)
         return self.results
 
-    def _mesh(self, watcher: Watcher) -> LitMesh:
+    def _mesh(self, watcher: Watcher) -> RelightableMesh:
         """The mesh, from the folder if one of the same settings is there."""
         settings, capture, folder = self.settings, self.captures[SEEN], self.folder / WORK / MESH
         if (folder / "mesh.json").exists():
-            mesh = LitMesh.load(folder, capture)
-            facts = mesh.facts()
-            if (facts["size"], facts["seed"], facts["capture"]) == (settings.texture, settings.seed, capture.digest):
+            mesh = RelightableMesh()
+            mesh.load(folder, capture)
+            facts = mesh.metadata()
+            if (facts["size"], facts["seed"]) == (settings.texture, settings.seed):
                 return mesh
-        mesh = LitMesh(capture, settings.texture)
-        mesh.fit(capture, None, settings.seed, lambda seconds, step, loss: watcher.training("diffuse mesh", seconds, None, step, loss))
+        mesh = RelightableMesh(settings.texture)
+        budget = Budget(None, settings.seed)
+        mesh.fit(capture, budget, lambda seconds, step, loss: watcher.training("diffuse mesh", seconds, None, step, loss))
         mesh.save(folder)
         return mesh
 
-    def _measure(
-        self, lighting: str, key: str, label: str, method: Method, fingerprint: str, noise: list[float], watcher: Watcher
-    ) -> None:
-        results, views = self.results[lighting], self._views[lighting]
+    def _measure(self, lighting: str, method: Renderer, watcher: Watcher) -> None:
+        results, views, key = self.results[lighting], self._views[lighting], method.key
         known = results.method(key)
-        result = MethodResult(key, label, fingerprint, method.facts())
-        if known is not None and known.cache_key == fingerprint:
+        result = MethodResult(key, method.label, method.cache_key(), method.metadata())
+        if known is not None and known.cache_key == result.cache_key:
             result.images = known.images
             result.metadata["noise_psnr"] = known.metadata.get("noise_psnr")
         results.methods = [other for other in results.methods if other.key != key] + [result]
 
         def done() -> None:
-            result.metadata["noise_psnr"] = -10 * math.log10(max(float(np.mean(noise)), 1e-12))
+            result.metadata = method.metadata()
             results.write(self.folder / f"{lighting}.json")
-            watcher.measured(f"{label}, {lighting} light", len(result.images), len(views))
+            watcher.measured(f"{method.label}, {lighting} light", len(result.images), len(views))
 
         evaluate(method, result, self.captures[lighting], views, self.pictures(lighting) / key, done)
         results.write(self.folder / f"{lighting}.json")
@@ -153,7 +136,7 @@ class Relighting:
         known = Results.read(file) if file.exists() else Results()
         capture = self.captures[lighting]
         about = {
-            "run": str(self._run.path),
+            "run": str(self._run),
             "capture": {"name": capture.name, "path": str(capture.path), "digest": capture.digest},
             "measured": measured(self._views[lighting], ()),
             "settings": asdict(self.settings),

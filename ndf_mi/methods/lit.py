@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -19,7 +21,7 @@ PIXELS = 256
 """Launches have one of few numbers of pixels: this one times 1, 3/2, 2, 3, 4 and so on."""
 
 
-class Lit:
+class LitRenderer:
     """Draws a scene with one of Mitsuba's integrators, pixels box-filtered; camera rays that meet nothing see the background.
 
     Args:
@@ -83,3 +85,8 @@ class Lit:
 
 def _encode(linear: np.ndarray) -> np.ndarray:
     return np.clip(linear_to_srgb(np.maximum(linear, 0)), 0, 1)
+
+
+def noise_psnr(noise: Sequence[float]) -> dict[str, float]:
+    """Metadata of pictures from the mean squared errors that are their noise: the PSNR of that in dB, or nothing without pictures."""
+    return {"noise_psnr": -10 * math.log10(max(float(np.mean(noise)), 1e-12))} if noise else {}

@@ -1,8 +1,9 @@
-"""The field of a run as a scattering medium under some light."""
+"""The field of a run as a scattering medium under some light, for relighting."""
 
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,42 +13,96 @@ import numpy as np
 
 from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.pixels import box_pixels
+from ndf_mi.errors import InputError
+from ndf_mi.learn.loop import expect_capture
+from ndf_mi.learn.scattering import SCATTERING
 from ndf_mi.learn.scattering_scene import ScatteringScene, expect_outside
-from ndf_mi.methods.lit import Lit
+from ndf_mi.methods.base import Budget, Light, Progress
+from ndf_mi.methods.lit import LitRenderer, noise_psnr
 from ndf_mi.run import Run
 
 LAYERS = 4
 
 
-class LitField:
-    """A run by Mitsuba's `volpath`: the field itself, in nested shells, or on a lattice as it was trained, which is several times as fast.
+class RelightableField:
+    """A run that was trained through scattering.
 
     Args:
-        run: the run.
-        lights: entries of a scene's dictionary.
-        label: of the light, for the fingerprint.
-        spp: samples a pixel.
-        max_depth: longest path.
-        frames: the frames that there will be.
-        lattice: the lattice's spacing in metres; 0 for the field itself.
-
-    Attributes:
-        noise: of the images rendered, the share of their mean squared error that is noise, one number an image.
+        grid_spacing: spacing in metres of the grid that the field is shown on, as it was trained: several times as fast
+            as the field itself, and blurred by a cell. 0 shows the field itself.
     """
 
-    def __init__(self, run: Run, lights: dict[str, Any], label: str, spp: int, max_depth: int, frames: Sequence[int],
-                 lattice: float = 0.0) -> None:
-        self.name = "ndf"
-        self.noise: list[float] = []
+    key, label = "ndf", "NDF"
+
+    def __init__(self, grid_spacing: float = 0.0) -> None:
+        self._spacing = grid_spacing
+
+    def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
+        """Raises InputError: `ndf-mi optimise` trains such runs."""
+        raise InputError("method ndf", "no run", "a run trained by: ndf-mi optimise CAPTURE -o RUN --integrator prbvolpath")
+
+    def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
+        """Reads a run.
+
+        Raises:
+            InputError: it can't be read, was trained on another capture, or its colours hold the light that they were seen in.
+        """
+        run = Run.load(folder)
+        config = run.path / "config.json"
+        training = run.config.get("training") or {}
+        if training.get("integrator") not in SCATTERING:
+            raise InputError(f"{config}: training.integrator", repr(training.get("integrator", "ndf_quadrature")),
+                             f"one of {', '.join(SCATTERING)}: the colours of other runs hold the light that they were seen in",
+                             "Train one by: ndf-mi optimise CAPTURE -o RUN --integrator prbvolpath")
+        if not run.scattered:
+            raise InputError(f"{config}: trained.steps", str(run.config["trained"]["steps"]),
+                             f"more than the {training['warm_up']} steps by quadrature (warm_up), whose colours hold the light that they "
+                             "were seen in", "Continue by: ndf-mi optimise CAPTURE -o RUN --resume. If it has finished, train another "
+                             "one with more steps or seconds, or a smaller warm_up.")
+        expect_capture(run, capture)
         self._run = run
-        self._lights = lights
-        self._label = label
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Does nothing: the run stays where it is, and `load` takes that folder."""
+
+    def metadata(self) -> dict[str, Any]:
+        """Preset, training options, seconds and steps of training, longest path and grid spacing."""
+        config = self._run.config
+        trained = config.get("trained", {})
+        return {"preset": config["preset"], "training": config["training"], "seconds": trained.get("seconds"),
+                "steps": trained.get("steps"), "max_depth": int(config["training"]["max_depth"]), "grid_spacing": self._spacing}
+
+    def under(self, light: Light, frames: Sequence[int], spp: int) -> LitField:
+        """The field in some light, rendered by Mitsuba's `volpath`; arguments as in `Relightable.under`."""
+        return LitField(self._run, light, frames, spp, self._spacing, self.metadata())
+
+
+class LitField:
+    """A run in some light: the field itself in nested shells, or on a grid.
+
+    Args:
+        run: trained through scattering.
+        light: what lights the scene.
+        frames: all frames that will be rendered.
+        spp: samples a pixel, an even number.
+        spacing: of the grid, metres; 0 for the field itself.
+        metadata: of the field.
+    """
+
+    key, label = RelightableField.key, RelightableField.label
+
+    def __init__(self, run: Run, light: Light, frames: Sequence[int], spp: int, spacing: float, metadata: dict[str, Any]) -> None:
+        self._run = run
+        self._light = light
         self._spp = spp
-        self._depth = max_depth
-        self._lattice = lattice
-        self._stage = ScatteringScene(run, frames, lights, lattice) if lattice else None
+        self._spacing = spacing
+        self._metadata = {**metadata, "spp": spp}
+        self._depth: int = metadata["max_depth"]
+        self._grid = ScatteringScene(run, frames, light.emitters, spacing) if spacing else None
         self._frame: int | None = None
+        self._noise: list[float] = []
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the run's background.
@@ -55,37 +110,34 @@ class LitField:
         Raises:
             InputError: the camera is inside the performer's band or its shell.
         """
-        expect_outside(self._run, camera, frame, self._lattice)
+        expect_outside(self._run, camera, frame, self._spacing)
         if frame != self._frame:
-            self._lit = Lit(self._scene(frame), self._integrator(), self._run.background, self._spp)
+            integrator = mi.load_dict({"type": "volpath", "max_depth": self._depth, "hide_emitters": True})
+            self._renderer = LitRenderer(self._scene(frame), integrator, self._run.background, self._spp)
             self._frame = frame
         vertices = self._run.poses.vertices[self._run.poses.index(frame)]
         low, high = padded_box(vertices, max(BOX_PADDING, self._run.model.band))
-        image, noise = self._lit.render(camera, box_pixels(camera, low, high), frame)
-        self.noise.append(noise)
+        image, noise = self._renderer.render(camera, box_pixels(camera, low, high), frame)
+        self._noise.append(noise)
         return image
 
-    def _scene(self, frame: int) -> mi.Scene:
-        if self._stage is not None:
-            with dr.suspend_grad():
-                self._stage.place(self._run.posed(frame), frame, np.zeros(3))
-            return self._stage.scene
-        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame}
-        return mi.load_dict({"type": "scene", **self._lights, "performer": {"type": "ndf_shell", "layers": LAYERS, "interior": medium}})
+    def metadata(self) -> dict[str, Any]:
+        """That of the field, samples a pixel, and `noise_psnr` of the pictures rendered so far."""
+        return {**self._metadata, **noise_psnr(self._noise)}
 
-    def _integrator(self) -> Any:
-        return mi.load_dict({"type": "volpath", "max_depth": self._depth, "hide_emitters": True})
-
-    def facts(self) -> dict[str, Any]:
-        """Preset, training options, seconds and steps of training, samples a pixel and the longest path."""
-        config = self._run.config
-        trained = config.get("trained", {})
-        return {"preset": config["preset"], "training": config.get("training"), "seconds": trained.get("seconds"),
-                "steps": trained.get("steps"), "spp": self._spp, "max_depth": self._depth, "lattice": self._lattice}
-
-    def fingerprint(self) -> str:
-        """SHA-256 (hex) over the field's parameters, the light and how they are rendered: equal ones give equal images."""
-        state = hashlib.sha256(f"{self._label} {self._spp} {self._depth} {LAYERS} {self._lattice} {self._run.config['preset']}".encode())
+    def cache_key(self) -> str:
+        """SHA-256 (hex) over the field's parameters, the light and how they are rendered."""
+        settings = f"{self._light.name} {self._spp} {self._depth} {LAYERS} {self._spacing} {self._run.config['preset']}"
+        state = hashlib.sha256(settings.encode())
         for name, values in sorted(self._run.field_tensors().items()):
             state.update(name.encode() + values.tobytes())
         return state.hexdigest()
+
+    def _scene(self, frame: int) -> mi.Scene:
+        if self._grid is not None:
+            with dr.suspend_grad():
+                self._grid.place(self._run.posed(frame), frame, np.zeros(3))
+            return self._grid.scene
+        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame}
+        performer = {"type": "ndf_shell", "layers": LAYERS, "interior": medium}
+        return mi.load_dict({"type": "scene", **self._light.emitters, "performer": performer})

@@ -1,8 +1,10 @@
-"""The textured mesh for relighting: a diffuse reflectance, optimised under one light and shown under any."""
+"""The textured mesh for relighting: a diffuse reflectance, fitted under one light and shown under any."""
 
 from __future__ import annotations
 
 import hashlib
+import os
+from collections.abc import Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -13,60 +15,98 @@ from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.pixels import box_pixels
 from ndf_mi.colour import srgb_to_linear
+from ndf_mi.methods.base import Budget, Light, Progress
+from ndf_mi.methods.lit import noise_psnr
 from ndf_mi.methods.lit_surface import LitSurface, ReflectanceFit
-from ndf_mi.methods.mesh import TexturedMesh
+from ndf_mi.methods.mesh import RENDER_SPP
+from ndf_mi.methods.mesh_record import MeshRecord, metadata_of, read_record, read_tensors, record_of, write_mesh
 from ndf_mi.render.lights import lights as lights_of
-from ndf_mi.surface.texture_fit import Progress, best_rate
+from ndf_mi.surface.texture_fit import fit_texture
 
 
-class LitMesh(TexturedMesh):
-    """Baseline: the posed body with a diffuse texture, path traced among the capture's lights with interreflection, as the truth is.
+class RelightableMesh:
+    """The posed body with a diffuse texture, path traced among the capture's lights with interreflection, as synthetic captures are.
 
     Args:
-        capture: whose body, poses and background it has, and whose `train` split it learns from.
-        size: texels a side.
-        rate: Adam's learning rate; None finds the best of a sweep when `fit` is called.
-        lights: entries of a scene's dictionary; None takes the capture's own.
-        label: of the light, for the fingerprint.
-        spp: samples a pixel of the pictures.
-
-    Attributes:
-        noise: of the images rendered, the share of their mean squared error that is noise, one number an image.
+        texture: texels a side.
+        rate: Adam's learning rate; None takes the best of a sweep.
     """
 
-    def __init__(
-        self, capture: Capture, size: int = 256, rate: float | None = None, lights: dict[str, Any] | None = None, label: str = "",
-        spp: int = 256,
-    ) -> None:
-        super().__init__(capture, size, rate)
-        self._surface = self._lit = LitSurface(capture, size, lights_of(capture.known_lighting()) if lights is None else lights)
+    key, label = "mesh", "Diffuse mesh"
+
+    def __init__(self, texture: int = 256, rate: float | None = None) -> None:
+        self._size = texture
+        self._rate = rate
+
+    def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
+        """Fits the reflectance under the capture's own light, which must be known."""
+        self._capture = capture
+        surface = LitSurface(capture, self._size, lights_of(capture.known_lighting()))
+        fitted = fit_texture(surface, capture, self._size, self._rate, budget.seconds, budget.seed, progress, ReflectanceFit)
+        self._texture, self._seen = fitted.texture, fitted.seen
+        self._record = record_of(MeshRecord, fitted, budget, capture)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Writes `mesh.json`, `mesh.safetensors`, and `texture.png` to look at."""
+        write_mesh(folder, self._record, {"texture": self._texture, "seen": self._seen.astype(np.uint8)})
+
+    def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
+        """Reads what `save` wrote.
+
+        Raises:
+            InputError: a file is missing, damaged, or of another version or capture.
+        """
+        self._capture = capture
+        self._record = read_record(folder, MeshRecord, capture)
+        size = self._record.size
+        tensors = read_tensors(folder, {"texture": (np.float32, (size, size, 3)), "seen": (np.uint8, (size, size))})
+        self._texture, self._seen = tensors["texture"], tensors["seen"].astype(bool)
+
+    def metadata(self) -> dict[str, Any]:
+        """The members of `MeshRecord`, and the keys that `methods.base` lists."""
+        return metadata_of(self._record)
+
+    def under(self, light: Light, frames: Sequence[int], spp: int) -> LitMesh:
+        """The mesh in some light; arguments as in `Relightable.under`."""
+        return LitMesh(self._capture, self._texture, light, spp, self.metadata())
+
+
+class LitMesh:
+    """A mesh of a known reflectance in some light.
+
+    Args:
+        capture: whose body, poses and background it has.
+        texture: (size, size, 3) sRGB-encoded reflectance.
+        light: what lights the scene.
+        spp: samples a pixel, an even number.
+        metadata: of the mesh.
+    """
+
+    key, label = RelightableMesh.key, RelightableMesh.label
+
+    def __init__(self, capture: Capture, texture: np.ndarray, light: Light, spp: int, metadata: dict[str, Any]) -> None:
         self._poses = capture.poses
-        self._label = label
+        self._texture = texture
+        self._light = light
         self._spp = spp
-        self.noise: list[float] = []
-
-    def fit(self, capture: Capture, seconds: float | None = None, seed: int = 0, progress: Progress | None = None) -> None:
-        """As the emitting mesh is fitted: the best rate of a sweep, random frames, Adam, until the loss stops falling."""
-        facts = self._facts
-        if not facts.rate:
-            facts.rate, facts.sweep, facts.sweep_seconds = best_rate(self._surface, capture, facts.size, seed, ReflectanceFit)
-        self._train(ReflectanceFit(self._surface, capture, facts.size, facts.rate, seed), capture, seconds, seed, progress)
-
-    def under(self, capture: Capture, lights: dict[str, Any], label: str, spp: int) -> LitMesh:
-        """The same mesh among other lights, with other samples a pixel."""
-        other = LitMesh(capture, self._facts.size, None, lights, label, spp)
-        other._facts, other.texture, other.seen = self._facts, self.texture, self.seen
-        return other
+        self._metadata = {**metadata, "spp": spp}
+        self._surface = LitSurface(capture, len(texture), light.emitters)
+        self._noise: list[float] = []
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the capture's background."""
-        self._pose(frame)
-        self._surface.set_texture(mi.TensorXf(srgb_to_linear(self.texture)))
+        self._surface.set_frame(frame)
+        self._surface.set_texture(mi.TensorXf(srgb_to_linear(self._texture)))
         low, high = padded_box(self._poses.vertices[self._poses.index(frame)], BOX_PADDING)
-        image, noise = self._lit.picture(camera, box_pixels(camera, low, high), self._spp, frame)
-        self.noise.append(noise)
+        image, noise = self._surface.lit_picture(camera, box_pixels(camera, low, high), self._spp, frame)
+        self._noise.append(noise)
         return image
 
-    def fingerprint(self) -> str:
-        """SHA-256 (hex) over what is rendered and how: equal ones give equal images."""
-        return hashlib.sha256(f"{self._label} {self._spp} {super().fingerprint()}".encode()).hexdigest()
+    def metadata(self) -> dict[str, Any]:
+        """That of the mesh, samples a pixel, and `noise_psnr` of the pictures rendered so far."""
+        return {**self._metadata, **noise_psnr(self._noise)}
+
+    def cache_key(self) -> str:
+        """SHA-256 (hex) over texture, light, capture and samples a pixel."""
+        mesh = hashlib.sha256(f"{RENDER_SPP} {self._metadata['capture']}".encode() + self._texture.tobytes()).hexdigest()
+        return hashlib.sha256(f"{self._light.name} {self._spp} {mesh}".encode()).hexdigest()

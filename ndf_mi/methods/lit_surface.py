@@ -12,7 +12,7 @@ from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.learn.loss import NoisyLoss
-from ndf_mi.methods.lit import Lit
+from ndf_mi.methods.lit import LitRenderer
 from ndf_mi.mitsuba_mesh import make_mesh
 from ndf_mi.render.replay import Replay
 from ndf_mi.surface.texture_fit import TextureFit
@@ -74,10 +74,10 @@ class LitSurface(TexturedSurface):
         self._replay.backward(ray, seed, radiance, adjoint * share)
         return error
 
-    def picture(self, camera: Camera, pixels: np.ndarray, spp: int, seed: int) -> tuple[np.ndarray, float]:
-        """As :meth:`ndf_mi.methods.lit.Lit.render`, of the texture and frame set last."""
+    def lit_picture(self, camera: Camera, pixels: np.ndarray, spp: int, seed: int) -> tuple[np.ndarray, float]:
+        """As :meth:`ndf_mi.methods.lit.LitRenderer.render`, of the texture and frame set last."""
         path = mi.load_dict({"type": "path", "max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH + 1, "hide_emitters": True})
-        return Lit(self._scene, path, self._behind, spp).render(camera, pixels, seed)
+        return LitRenderer(self._scene, path, self._behind, spp).render(camera, pixels, seed)
 
 
 class ReflectanceFit(TextureFit):

@@ -1,80 +1,128 @@
-"""The neural deformable field of a run, as one of the methods compared; `ndf-mi optimise` trains it."""
+"""The neural deformable field as a method: a run that `ndf-mi optimise` trained, or one trained here."""
 
 from __future__ import annotations
 
 import hashlib
-import json
+import os
+import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ndf_mi import files
 from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
+from ndf_mi.field import preset as preset_of
+from ndf_mi.learn.loop import expect_capture, start, train
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.scattering import SCATTERING
+from ndf_mi.methods.base import Budget, Progress
 from ndf_mi.render.image import RECIPE, ImageRenderer
 from ndf_mi.run import Run
-
-METRICS = "metrics.jsonl"
+from ndf_mi.training_log import read_training_log
 
 
 class NeuralField:
-    """A run, rendered by quadrature through pixel centres without jitter.
+    """A field rendered by quadrature, one ray through each pixel's centre, without jitter.
+
+    Its folder is that of a run. A run that was trained through scattering cannot be loaded: its colours are an albedo.
 
     Args:
-        run: the run.
         samples: candidate samples a ray.
+        preset: the architecture that `fit` trains.
     """
 
-    def __init__(self, run: Run, samples: int = 128) -> None:
-        self.name = "ndf"
-        self._run = run
+    key, label = "ndf", "NDF"
+
+    def __init__(self, samples: int = 128, preset: str = "fast") -> None:
         self._renderer = ImageRenderer(samples=samples)
-        self.history = read_history(run.path)
+        self._preset = preset_of(preset)
+        self._run: Run | None = None
+        self._history: list[dict[str, Any]] = []
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+
+    @classmethod
+    def of(cls, run: Run, samples: int = 128) -> NeuralField:
+        """The method for a run in memory, which must have been trained by quadrature."""
+        method = cls(samples)
+        method._take(run)
+        return method
+
+    @property
+    def run(self) -> Run:
+        """The run that is rendered. Raises RuntimeError before `fit` or `load`."""
+        if self._run is None:
+            raise RuntimeError("a method renders after fit or load")
+        return self._run
+
+    def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
+        """Trains a run by the default schedule, which is as long as the budget; without seconds, it has the default number of steps.
+
+        Args:
+            capture: with a `train` split.
+            budget: how long.
+            progress: not called; the training prints its own progress bar on a terminal.
+        """
+        options = TrainingOptions(seed=budget.seed) if budget.seconds is None else TrainingOptions(
+            seed=budget.seed, seconds=budget.seconds, steps=10**9)
+        self._scratch = tempfile.TemporaryDirectory(prefix="ndf-mi-")
+        trainer = start(Path(self._scratch.name) / "run", capture, self._preset, options)
+        train(trainer)
+        self._take(Run.load(trainer.run.path))
+
+    def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
+        """Reads a run.
+
+        Raises:
+            InputError: the run can't be read, was trained on another capture, or was trained through scattering.
+        """
+        run = Run.load(folder)
+        expect_capture(run, capture)
+        integrator = (run.config.get("training") or {}).get("integrator")
+        if integrator in SCATTERING:
+            raise InputError(f"{run.path / 'config.json'}: training.integrator", repr(integrator), "a run trained by ndf_quadrature",
+                             "The colours of this run are an albedo and not the light it sends out: show it by `ndf-mi relight`.")
+        self._take(run)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Copies the run's files."""
+        for file in sorted(self.run.path.iterdir()):
+            if file.is_file() and not files.is_left_over(file) and file.name != "config.json":
+                with files.replacing(Path(folder) / file.name) as beside:
+                    shutil.copyfile(file, beside)
+        # Last, as a run without it counts as unfinished.
+        files.write_json(Path(folder) / "config.json", self.run.config)
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the run's background."""
-        return self._renderer(self._run.posed(frame), camera).over(self._run.background)
+        return self._renderer(self.run.posed(frame), camera).over(self.run.background)
 
-    def facts(self) -> dict[str, Any]:
-        """Preset, training options, seconds and steps of training (None where not logged), and samples a ray."""
-        config = self._run.config
+    def metadata(self) -> dict[str, Any]:
+        """The optional keys of `methods.base`, and `preset`, `training` (all options of both), and `samples` a ray."""
+        config = self.run.config
         trained = config.get("trained", {})
         return {
             "preset": config["preset"],
             "training": config.get("training"),
+            "capture": (config.get("capture") or {}).get("digest"),
             "seed": config["seed"],
             "seconds": trained.get("seconds"),
             "steps": trained.get("steps"),
             "samples": self._renderer.samples,
+            "options": {"samples": self._renderer.samples},
+            "history": [[row["step"], row["seconds"], row["loss"]] for row in self._history if {"step", "seconds", "loss"} <= row.keys()],
         }
 
-    def fingerprint(self) -> str:
-        """SHA-256 (hex) over the field's parameters and how they are rendered: equal ones give equal images."""
-        state = hashlib.sha256(f"{RECIPE} {self._run.config['preset']} {self._renderer.samples}".encode())
-        for name, values in sorted(self._run.field_tensors().items()):
+    def cache_key(self) -> str:
+        """SHA-256 (hex) over the field's parameters and how they are rendered."""
+        state = hashlib.sha256(f"{RECIPE} {self.run.config['preset']} {self._renderer.samples}".encode())
+        for name, values in sorted(self.run.field_tensors().items()):
             state.update(name.encode() + values.tobytes())
         return state.hexdigest()
 
-
-def read_history(run: Path) -> list[dict[str, float]]:
-    """The logged steps of a run, in order; empty if nothing was logged.
-
-    Raises:
-        InputError: a line other than the last is not a JSON object. A half-written last line, left by a training that
-            was killed, is ignored.
-    """
-    file = run / METRICS
-    if not file.is_file():
-        return []
-    lines = file.read_text(encoding="utf-8").splitlines()
-    entries = []
-    for number, line in enumerate(lines, start=1):
-        try:
-            entry = json.loads(line)
-        except ValueError:
-            entry = None
-        if isinstance(entry, dict):
-            entries.append(entry)
-        elif number < len(lines):
-            raise InputError(f"{file}:{number}", repr(line[:40]), "a JSON object a line")
-    return entries
+    def _take(self, run: Run) -> None:
+        self._run = run
+        self._history = read_training_log(run.path)

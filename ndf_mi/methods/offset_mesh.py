@@ -1,83 +1,111 @@
-"""The textured mesh with offsets: the posed body, moved by static vertex offsets, with one texture for all frames."""
+"""The textured mesh with offsets: the vertices are fitted along with the texture, what a Mitsuba user would do next."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import hashlib
+import os
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
-from ndf_mi.methods.mesh import MeshFacts, TexturedMesh
-from ndf_mi.surface.offset_fit import OffsetFit, best_offset_rate
+from ndf_mi.methods.base import Budget, Progress
+from ndf_mi.methods.mesh_record import MeshRecord, metadata_of, read_record, read_tensors, record_of, write_mesh
+from ndf_mi.surface.offset_fit import fit_offsets
 from ndf_mi.surface.rest_frames import RestFrames
-from ndf_mi.surface.texture_fit import Progress, best_rate
+from ndf_mi.surface.textured import TexturedSurface
+
+RENDER_SPP = 64
 
 
-@dataclass
-class OffsetFacts(MeshFacts):
-    """`MeshFacts`, and of the offsets:
+class OffsetRecord(MeshRecord, forbid_unknown_fields=True, kw_only=True):
+    """`mesh.json` of a mesh with offsets: `MeshRecord`, and
 
     Attributes:
-        offset_rate: the first step, metres.
-        offset_sweep: training loss reached by each first step tried, keyed by the step as text.
+        offset_rate: first step of the offsets, metres.
+        offset_sweep: training loss that each first step tried had reached, keyed by the step as text.
         offset_median_mm, offset_max_mm: of the offsets' lengths over the vertices.
     """
 
-    offset_rate: float = 0.0
-    offset_sweep: dict[str, float] = field(default_factory=dict)
+    offset_rate: float
+    offset_sweep: dict[str, float] = {}
     offset_median_mm: float = 0.0
     offset_max_mm: float = 0.0
 
 
-class OffsetMesh(TexturedMesh):
-    """Baseline: the textured mesh, whose vertices are optimised along with the texture; what a Mitsuba user would do next.
+class OffsetMesh:
+    """The posed body, moved by one set of vertex offsets for all frames, emits a texture.
 
-    The offsets belong to the body at rest and move with its skin (`rest.RestFrames`), one for all frames: the clothed
-    shape is learnt, its wrinkles' changes with the pose are not. Topology and texture coordinates stay.
+    The offsets belong to the body at rest and move with its skin: the clothed shape is learned, changes of its wrinkles
+    with the pose are not. Topology and texture coordinates stay.
 
     Args:
-        capture: whose body, poses and background it renders.
-        size: texels a side of the square texture.
-        rate: Adam's learning rate for the texture; None finds the best of a sweep when `fit` is called.
-        offset_rate: first step of the offsets, metres; None finds the best of a sweep likewise.
+        texture: texels a side of the square texture.
+        rate: Adam's learning rate of the texture; None takes the best of a sweep.
+        offset_rate: first step of the offsets, metres; None takes the best of a sweep.
     """
 
-    facts_type = OffsetFacts
+    key, label = "offset-mesh", "Mesh with offsets"
 
-    def __init__(
-        self, capture: Capture, size: int = 512, rate: float | None = None, offset_rate: float | None = None
-    ) -> None:
-        super().__init__(capture, size, rate)
-        self.name = "offset mesh"
-        self._facts: OffsetFacts = OffsetFacts(size=size, rate=rate or 0.0, offset_rate=offset_rate or 0.0)
-        self._rest = RestFrames(capture)
-        self.offsets = np.zeros_like(self._rest.vertices, dtype=np.float32)
+    def __init__(self, texture: int = 512, rate: float | None = None, offset_rate: float | None = None) -> None:
+        self._size = texture
+        self._rate = rate
+        self._offset_rate = offset_rate
 
-    def fit(
-        self, capture: Capture, seconds: float | None = None, seed: int = 0, progress: Progress | None = None
-    ) -> None:
-        """Optimises texture and offsets together; arguments as `TexturedMesh.fit`."""
-        facts = self._facts
-        if not facts.rate:
-            facts.rate, facts.sweep, facts.sweep_seconds = best_rate(self._surface, capture, facts.size, seed)
-        if not facts.offset_rate:
-            found = best_offset_rate(self._surface, self._rest, capture, facts.size, facts.rate, seed)
-            facts.offset_rate, facts.offset_sweep, taken = found
-            facts.sweep_seconds += taken
-        fit = OffsetFit(self._surface, self._rest, capture, facts.size, facts.rate, facts.offset_rate, seed)
-        self._train(fit, capture, seconds, seed, progress)
-        self.offsets = fit.offsets()
-        lengths = 1000 * np.linalg.norm(self.offsets, axis=1)
-        facts.offset_median_mm, facts.offset_max_mm = float(np.median(lengths)), float(lengths.max())
+    @property
+    def offsets(self) -> np.ndarray:
+        """(V, 3) float32 metres at rest."""
+        return self._offsets
 
-    def tensors(self) -> dict[str, np.ndarray]:
-        """`texture`, `seen`, and `offsets` (V, 3) in metres at rest."""
-        return {**super().tensors(), "offsets": self.offsets}
+    def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
+        """Fits texture and offsets together."""
+        self._place(capture, self._size)
+        fitted = fit_offsets(
+            self._surface, self._rest, capture, self._size, self._rate, self._offset_rate, budget.seconds, budget.seed, progress)
+        self._offsets = fitted.offsets
+        self._texture, self._seen = fitted.texture.texture, fitted.texture.seen
+        lengths = 1000 * np.linalg.norm(self._offsets, axis=1)
+        self._record = record_of(
+            OffsetRecord, fitted.texture, budget, capture, offset_rate=fitted.rate, offset_sweep=fitted.sweep,
+            offset_median_mm=float(np.median(lengths)), offset_max_mm=float(lengths.max()))
 
-    def _restore(self, tensors: dict[str, np.ndarray]) -> None:
-        super()._restore(tensors)
-        self.offsets = tensors["offsets"]
+    def render(self, camera: Camera, frame: int) -> np.ndarray:
+        """(h, w, 3) float32 sRGB in [0, 1] over the capture's background, `RENDER_SPP` samples a pixel."""
+        self._surface.set_vertices(mi.Float(self._rest.posed(frame, self._offsets).ravel()))
+        return self._surface.picture(camera, self._texture, RENDER_SPP)
 
-    def _pose(self, frame: int) -> None:
-        self._surface.set_vertices(mi.Float(self._rest.posed(frame, self.offsets).ravel()))
+    def metadata(self) -> dict[str, Any]:
+        """The members of `OffsetRecord`, and the keys that `methods.base` lists."""
+        r = self._record
+        note = (f"Learning rate {r.rate:g}, first step of the offsets {r.offset_rate:g} m. "
+                f"The offsets are {r.offset_median_mm:.0f} mm in the median and {r.offset_max_mm:.0f} mm at most.")
+        return {**metadata_of(r, ("rate", "offset_rate")), "note": note}
+
+    def cache_key(self) -> str:
+        """SHA-256 (hex) over texture, offsets, capture and samples a pixel."""
+        state = hashlib.sha256(f"{RENDER_SPP} {self._record.capture}".encode())
+        state.update(self._texture.tobytes() + self._offsets.tobytes())
+        return state.hexdigest()
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Writes `mesh.json`, `mesh.safetensors` with the offsets, and `texture.png` to look at."""
+        tensors = {"texture": self._texture, "seen": self._seen.astype(np.uint8), "offsets": self._offsets}
+        write_mesh(folder, self._record, tensors)
+
+    def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
+        """Reads what `save` wrote.
+
+        Raises:
+            InputError: a file is missing, damaged, or of another version or capture.
+        """
+        self._record = read_record(folder, OffsetRecord, capture)
+        size = self._record.size
+        self._place(capture, size)
+        tensors = read_tensors(folder, {"texture": (np.float32, (size, size, 3)), "seen": (np.uint8, (size, size)),
+                                        "offsets": (np.float32, self._rest.vertices.shape)})
+        self._texture, self._seen, self._offsets = tensors["texture"], tensors["seen"].astype(bool), tensors["offsets"]
+
+    def _place(self, capture: Capture, size: int) -> None:
+        self._surface, self._rest = TexturedSurface(capture, size), RestFrames(capture)

@@ -13,13 +13,13 @@ from ndf_mi.errors import InputError
 from ndf_mi.json_input import is_finite
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import QUADRATURE
-from ndf_mi.methods.ndf import read_history
 from ndf_mi.render.cost import CostModel
 from ndf_mi.render.image import Image
 from ndf_mi.render.profile import Key, pace, profile_of
 from ndf_mi.render.ray_statistics import look
 from ndf_mi.render.settings import Setting
 from ndf_mi.run import Run
+from ndf_mi.training_log import read_training_log
 
 #: Samples a ray that are offered: multiples of four, which is how many rounds a ray is looked at in, and no more than times need to be met
 #: closely, since each number compiles kernels of its own. Never more rays a pixel: fields are trained through pixels' centres, and
@@ -115,7 +115,7 @@ def ended(run: Run) -> Ended | None:
     known = run.config.get("training")
     training = known if isinstance(known, dict) else {}
     usual = TrainingOptions()
-    history = read_history(run.path) if training.get("integrator", usual.integrator) == QUADRATURE else []
+    history = read_training_log(run.path) if training.get("integrator", usual.integrator) == QUADRATURE else []
     drawn, box = (_error(history[-1].get(key)) if history else None for key in ("psnr", "box_psnr"))
     share = training.get("mask_share", usual.mask_share)
     return None if drawn is None and box is None else Ended(drawn, box, share if is_finite(share) else usual.mask_share)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import drjit as dr
 import mitsuba as mi
@@ -17,7 +18,7 @@ from ndf_mi.surface.contour import Contours, contour_gradient
 from ndf_mi.surface.degenerate import repair, unsound
 from ndf_mi.surface.rest_frames import RestFrames
 from ndf_mi.surface.smoothing import SmoothOffsets
-from ndf_mi.surface.texture_fit import TRAIN_SPP, TextureFit
+from ndf_mi.surface.texture_fit import TRAIN_SPP, FittedTexture, Progress, TextureFit, Training, best_rate
 from ndf_mi.surface.textured import TexturedSurface
 
 #: First steps of the offsets that are tried, metres. The sweep's few steps favour large ones: of 1e-1, which it would take, a training
@@ -35,6 +36,58 @@ STRAIN_WEIGHT = 1e-3
 LENGTHS = ((1.0, 4.0), (0.5, 2.0), (0.15, 1.0))
 #: Steps between looks for triangles that need repairing.
 MEND_STEPS = 25
+
+
+@dataclass(frozen=True)
+class FittedOffsets:
+    """Offsets and the texture that goes with them.
+
+    Attributes:
+        offsets: (V, 3) float32 metres, in the frames of `RestFrames`.
+        texture: the texture and how the fit went.
+        rate: first step of the offsets, metres.
+        sweep: training loss that each first step tried had reached, keyed by the step as text; empty if it was given.
+    """
+
+    offsets: np.ndarray
+    texture: FittedTexture
+    rate: float
+    sweep: dict[str, float] = field(default_factory=dict)
+
+
+def fit_offsets(
+    surface: TexturedSurface,
+    rest: RestFrames,
+    capture: Capture,
+    size: int,
+    rate: float | None = None,
+    offset_rate: float | None = None,
+    seconds: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> FittedOffsets:
+    """Fits one set of vertex offsets for all frames, together with a texture, to the capture's `train` split.
+
+    Args:
+        surface: the posed body; its vertices and texture change.
+        rest: of the same capture.
+        offset_rate: first step of the offsets, metres; None takes the best of a sweep.
+        capture, size, rate, seconds, seed, progress: as for `fit_texture`.
+
+    Raises:
+        InputError: as `fit_texture`.
+    """
+    sweep: dict[str, float] = {}
+    offset_sweep: dict[str, float] = {}
+    taken = more = 0.0
+    if not rate:
+        rate, sweep, taken = best_rate(surface, capture, size, seed)
+    if not offset_rate:
+        offset_rate, offset_sweep, more = best_offset_rate(surface, rest, capture, size, rate, seed)
+    fit = OffsetFit(surface, rest, capture, size, rate, offset_rate, seed)
+    converged = fit.train(seconds, progress)
+    texture = fit.result(Training(rate, sweep, taken + more, converged=converged))
+    return FittedOffsets(fit.offsets(), texture, offset_rate, offset_sweep)
 
 
 class OffsetFit(TextureFit):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -11,6 +12,7 @@ import numpy as np
 
 from ndf_mi.capture.capture import Capture
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
+from ndf_mi.surface.texture import fill_unseen
 from ndf_mi.surface.textured import TexturedSurface
 from ndf_mi.surface.training_views import TrainingViews
 
@@ -30,6 +32,73 @@ WINDOW_STEPS = 50
 DROPS = 3
 DROP = 10**-0.5
 MAX_STEPS = 8000
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a fit went.
+
+    Attributes:
+        rate: Adam's first learning rate of the texture, in sRGB units a step.
+        sweep: training loss that each rate tried had reached, keyed by the rate as text; empty if the rate was given.
+        sweep_seconds: wall-clock seconds of all sweeps; not part of `seconds`.
+        seconds, steps: wall-clock seconds and steps of the fit.
+        converged: whether it ended because the loss stopped falling.
+        history: [step, seconds, loss], means over windows; the loss is the sRGB mean squared error in the body's rectangle.
+    """
+
+    rate: float
+    sweep: dict[str, float] = field(default_factory=dict)
+    sweep_seconds: float = 0.0
+    seconds: float = 0.0
+    steps: int = 0
+    converged: bool = False
+    history: list[tuple[int, float, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class FittedTexture:
+    """A texture (size, size, 3) float32 sRGB without holes; `seen` (size, size) bool, the texels that training images touched."""
+
+    texture: np.ndarray
+    seen: np.ndarray
+    training: Training
+
+
+def fit_texture(
+    surface: TexturedSurface,
+    capture: Capture,
+    size: int,
+    rate: float | None = None,
+    seconds: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+    kind: type[TextureFit] | None = None,
+) -> FittedTexture:
+    """Fits a texture to the capture's `train` split by Adam on the sRGB mean squared error.
+
+    Args:
+        surface: the posed body; its frame and texture change.
+        capture: with a `train` split.
+        size: texels a side.
+        rate: learning rate; None takes the best of a sweep.
+        seconds: time to train for, with a rate that decays over it; None trains until the loss stops falling. The clock
+            starts when all images are in memory.
+        seed: of the order of images and of the samples.
+        progress: called after each step with (seconds, steps, loss).
+        kind: how a step is taken; `TextureFit` by default.
+
+    Raises:
+        InputError: the capture has no training images, or no camera sees the body.
+    """
+    kind = kind or TextureFit
+    sweep: dict[str, float] = {}
+    taken = 0.0
+    if not rate:
+        rate, sweep, taken = best_rate(surface, capture, size, seed, kind)
+    fit = kind(surface, capture, size, rate, seed)
+    converged = fit.train(seconds, progress)
+    return fit.result(Training(rate, sweep, taken, converged=converged))
 
 
 class TextureFit:
@@ -114,6 +183,16 @@ class TextureFit:
     def set_rate(self, rate: float) -> None:
         """Changes the learning rate from the next step on."""
         self._optimizer.set_learning_rate(rate)
+
+    def train(self, seconds: float | None, progress: Progress | None = None) -> bool:
+        """Trains for `seconds`, or until the loss stops falling where None; whether it did stop falling."""
+        return self.to_convergence(progress) if seconds is None else self.for_seconds(seconds, progress)
+
+    def result(self, training: Training) -> FittedTexture:
+        """The texture, its holes filled, and `training` with this fit's time, steps and history."""
+        seen = self.seen()
+        known = replace(training, seconds=self.seconds, steps=self.steps, history=list(self.history))
+        return FittedTexture(fill_unseen(self.texture(), seen), seen, known)
 
     def for_seconds(self, seconds: float, progress: Progress | None = None) -> bool:
         """Trains for `seconds` while the rate decays exponentially to `FINAL_RATE` of itself. Returns False."""

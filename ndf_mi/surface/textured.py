@@ -8,7 +8,7 @@ import numpy as np
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
-from ndf_mi.colour import srgb_to_linear
+from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.mitsuba_mesh import make_mesh, set_vertices
 from ndf_mi.surface.texture import split_seams
 
@@ -72,6 +72,19 @@ class TexturedSurface:
     def render(self, camera: Camera, spp: int, seed: int, rectangle: Rectangle | None = None) -> mi.TensorXf:
         """Linear radiance over the capture's background, (h, w, 3); arguments as `layers`."""
         return self.layers(camera, spp, seed, rectangle, coverage=False)
+
+    def picture(self, camera: Camera, texture: np.ndarray, spp: int) -> np.ndarray:
+        """(h, w, 3) float32 sRGB in [0, 1] over the capture's background.
+
+        Args:
+            camera: a pinhole camera.
+            texture: (size, size, 3) sRGB, at least 0.
+            spp: samples a pixel.
+        """
+        self.set_texture(mi.TensorXf(srgb_to_linear(texture)))
+        with dr.suspend_grad():
+            image = linear_to_srgb(self.render(camera, spp, seed=0)).numpy()
+        return np.clip(image, 0, 1)
 
     def layers(
         self, camera: Camera, spp: int, seed: int, rectangle: Rectangle | None = None, coverage: bool = True

@@ -18,7 +18,6 @@ from ndf_mi.experiments import compare as comparison
 from ndf_mi.experiments import metrics
 from ndf_mi.experiments.compare import Comparison, Settings
 from ndf_mi.field import PRESETS
-from ndf_mi.methods.ndf import NeuralField, read_history
 from ndf_mi.run import Run
 from ndf_mi.surface import offset_fit
 from ndf_mi.surface import texture_fit as mesh_fit
@@ -129,21 +128,6 @@ def test_an_interrupted_comparison_keeps_what_it_has(run, capture, tmp_path, mon
     _, watcher = compared(run, capture, tmp_path)
     assert not watcher.trained
     assert [done for label, done, _ in watcher.measured_images if label == "NDF"] == [3]
-
-
-def test_field_says_what_it_is(run):
-    field = NeuralField(Run.load(run), samples=16)
-    assert field.facts()["seconds"] == 3600 and field.facts()["steps"] == 10 and field.facts()["samples"] == 16
-    assert [row["step"] for row in field.history] == [5, 10]
-    assert field.fingerprint() == NeuralField(Run.load(run), samples=16).fingerprint()
-    assert field.fingerprint() != NeuralField(Run.load(run), samples=8).fingerprint()
-
-
-def test_a_damaged_log_is_named(tmp_path):
-    assert read_history(tmp_path) == []
-    (tmp_path / "metrics.jsonl").write_text('{"step": 1}\nnonsense\n{"step": 2}\n')
-    with pytest.raises(InputError, match="metrics.jsonl:2"):
-        read_history(tmp_path)
 
 
 def test_another_capture_is_refused(run, write_capture, tmp_path):

@@ -13,7 +13,7 @@ from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.pixels import box_pixels
 from ndf_mi.experiments.trade.points import PathSetting
-from ndf_mi.methods.lit import Lit
+from ndf_mi.methods.lit import LitRenderer
 from ndf_mi.methods.lit_field import LAYERS
 from ndf_mi.run import Run
 
@@ -40,7 +40,7 @@ class PathTracer:
         """(h, w, 3) float32 sRGB in [0, 1] over the run's background."""
         scene, _ = self._scene(setting, frame)
         low, high = self._box(frame)
-        lit = Lit(scene, self._integrator, self._run.background, setting.spp)
+        lit = LitRenderer(scene, self._integrator, self._run.background, setting.spp)
         picture, _ = lit.render(camera, box_pixels(camera, low, high), seed)
         dr.sync_thread()
         return picture
