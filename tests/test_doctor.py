@@ -8,7 +8,7 @@ import sys
 import mitsuba as mi
 import pytest
 
-from ndf_mi import commands, doctor, llvm, variants
+from ndf_mi import commands, doctor, llvm, optional, variants
 from ndf_mi.doctor import Finding, State
 
 
@@ -67,9 +67,18 @@ def test_health_needs_one_variant_and_the_body():
 
 
 def test_missing_package_is_named(monkeypatch, no_probes):
-    monkeypatch.setattr(doctor, "PACKAGES", ("numpy", "surely-not-there"))
+    monkeypatch.setattr(optional, "requirements", lambda: {"": ["numpy", "surely-not-there"]})
     missing = [finding for finding in doctor.examine() if finding.name == "packages" and finding.state is State.MISSING]
     assert missing[0].found == "surely-not-there" and missing[0].repair.endswith("pip install surely-not-there")
+
+
+def test_missing_extras_are_listed_with_the_command_that_installs_them(monkeypatch, no_probes, capsys):
+    monkeypatch.setattr(optional, "requirements", lambda: {"": ["numpy"], "atlas": ["not-there"], "video": ["numpy"], "dev": ["nor-this"]})
+    extras = [finding for finding in doctor.examine() if finding.name.startswith("extra")]
+    assert [finding.name for finding in extras] == ["extra atlas"]
+    assert "not-there" in extras[0].found and extras[0].repair == 'pip install "ndf-mi[atlas]"'
+    assert commands.main(["doctor"]) == 0  # only some of the work needs them
+    assert 'pip install "ndf-mi[atlas]"' in capsys.readouterr().out
 
 
 def test_healthy_machine(no_probes, capsys):

@@ -14,6 +14,7 @@ from scipy import sparse
 from scipy.sparse import linalg
 
 from ndf_mi.body import atlas_mesh as mesh
+from ndf_mi.optional import require
 
 _BATCH = 3
 _MOST_BATCHES = 25
@@ -25,8 +26,7 @@ def harmonic_disk(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
     The boundary goes to the circle by arc length. Obtuse triangles may flip: see `tutte_disk`.
     """
-    import igl
-
+    igl = require("igl", extra="atlas")
     loop, circle = _circle(points, faces)
     return np.asarray(igl.harmonic(np.ascontiguousarray(points), np.ascontiguousarray(faces, np.int64), loop, circle, 1))
 
@@ -73,9 +73,7 @@ def relaxed(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> Iterator
 
     The boundary is free. Ends when three iterations gain less than a thousandth, or after 75.
     """
-    import igl
-    from igl import triangle
-
+    igl, triangle = require("igl", extra="atlas"), require("igl.triangle", extra="atlas")
     # The method's weights are absolute numbers, made for a surface of the area 1.
     scale = np.sqrt(mesh.doubled_areas(points[faces]).sum() / 2)
     data = triangle.SCAFData()

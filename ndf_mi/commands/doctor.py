@@ -1,4 +1,4 @@
-"""``ndf-mi doctor``: what is here, what works, and the command that mends what does not."""
+"""``ndf-mi doctor``: reports what is installed, what works, and the command that repairs the rest."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ MARKS = {
 
 @dataclass
 class Doctor:
-    """Says what is installed and works on this machine, and for each missing thing the command that mends it.
+    """Report what is installed and works on this machine, and the command that installs each missing part.
 
-    Exit code 0 where a variant renders and the body's data are there, else 1.
+    The exit code is 0 if a variant renders and the default body's data are installed, else 1.
     """
 
     def run(self) -> int:
-        """Prints one line a finding; returns the exit code."""
+        """Prints a line for each finding; returns the exit code."""
         console = Console(highlight=False, soft_wrap=True)
         findings = doctor.examine()
         width = max(len(finding.name) for finding in findings)

@@ -14,6 +14,7 @@ from scipy.ndimage import uniform_filter
 from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.pixels import box_pixels
+from ndf_mi.optional import require
 
 SSIM_WINDOW = 7
 #: The key of temporal PSNR, which is of a sequence; all others are of an image.
@@ -122,8 +123,7 @@ def box_ssim(truth: np.ndarray, image: np.ndarray, mask: np.ndarray, data_range:
 
 def flip_map(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
     """FLIP per pixel, (h, w) in [0, 1] where 0 is equal (Andersson et al. 2020, LDR, 67 pixels a degree)."""
-    import flip_evaluator
-
+    flip_evaluator = require("flip_evaluator", extra="report")
     _same_shape(truth, image)
     pair = [np.ascontiguousarray(np.clip(side, 0, 1), dtype=np.float32) for side in (truth, image)]
     error, _, _ = flip_evaluator.evaluate(*pair, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False)

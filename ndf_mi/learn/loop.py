@@ -16,13 +16,13 @@ from typing import Any, TextIO
 import drjit as dr
 import mitsuba as mi
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from tensorboardX import SummaryWriter
 
 import ndf_mi
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.field import Preset
+from ndf_mi.learn.board import Board
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import QUADRATURE, ScatteringTrainer, check_integrator
 from ndf_mi.learn.trainer import STATE, Trainer
@@ -122,7 +122,7 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
     saved = time.perf_counter()
     columns = (TextColumn("training"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TextColumn("{task.fields[facts]}"),
                TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
-    board = SummaryWriter(str(folder), purge_step=trainer.progress.step)
+    board = Board(folder, trainer.progress.step, quiet)
     try:
         hidden = quiet or not sys.stderr.isatty()
         with _Signals() as signals, Progress(*columns, disable=hidden) as bar, open(folder / "metrics.jsonl", "a") as log:
@@ -188,7 +188,7 @@ class _Signals:
         signal.signal(number, self._before[number])
 
 
-def _log(log: TextIO, board: SummaryWriter, trainer: Trainer) -> None:
+def _log(log: TextIO, board: Board, trainer: Trainer) -> None:
     now = trainer.progress
     row = {"step": now.step, "seconds": round(now.seconds, 3), "loss": now.error, "psnr": round(now.psnr, 4), "samples": now.evaluated}
     if now.box_psnr is not None:
@@ -197,7 +197,7 @@ def _log(log: TextIO, board: SummaryWriter, trainer: Trainer) -> None:
         row |= {"refused": now.refused, "rate_factor": now.rate_factor}
     print(json.dumps(row), file=log, flush=True)
     for name in ("loss", "psnr", "samples"):
-        board.add_scalar(f"training/{name}", row[name], now.step)
+        board.scalar(f"training/{name}", row[name], now.step)
 
 
 def _truncate_log(path: Path, step: int) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
-import OpenEXR
-from skimage.io import imsave
+from PIL import Image
 
 from ndf_mi import files
 from ndf_mi.errors import InputError
@@ -23,13 +23,12 @@ def check_suffix(path: str | os.PathLike[str]) -> None:
 
 def write_exr(path: str | os.PathLike[str], channels: dict[str, np.ndarray]) -> None:
     """Writes named channels, each (h, w), as 32-bit floats, compressed without loss; whole or not at all."""
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    arrays = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in channels.items()}
+    pixels = np.stack(list(channels.values()), axis=-1).astype(np.float32)
     with files.replacing(path) as beside:
-        OpenEXR.File(header, arrays).write(str(beside))
+        mi.Bitmap(pixels, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(str(beside))
 
 
 def write_png(path: str | os.PathLike[str], image: np.ndarray) -> None:
     """Writes (h, w, 3) sRGB in [0, 1] as 8 bits a channel, rounded; whole or not at all."""
     with files.replacing(path) as beside:
-        imsave(beside, np.round(np.clip(image, 0, 1) * 255).astype(np.uint8), check_contrast=False)
+        Image.fromarray(np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)).save(beside, format="PNG")

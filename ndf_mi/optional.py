@@ -1,0 +1,60 @@
+"""Packages that only some of the work needs: they come with the extras of ``ndf-mi``, as in ``pip install "ndf-mi[video]"``."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import re
+from typing import Any
+
+from ndf_mi.errors import InputError
+
+DISTRIBUTION = "ndf-mi"
+
+
+def require(module: str, extra: str) -> Any:
+    """Imports a module of a package that an extra installs.
+
+    Args:
+        module: its name in ``import``, such as ``igl``.
+        extra: the extra of ``ndf-mi`` that installs it, such as ``atlas``.
+
+    Raises:
+        InputError: the package is not installed; the message has the command that installs it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != module.partition(".")[0]:
+            raise  # the package is there, but lacks something of its own
+        raise InputError(f"package {module}", "no such package", f"the extra `{extra}` of {DISTRIBUTION}",
+                         install_command(extra)) from None
+
+
+def install_command(extra: str) -> str:
+    """The command that installs an extra."""
+    return f'pip install "{DISTRIBUTION}[{extra}]"'
+
+
+def requirements() -> dict[str, list[str]]:
+    """The packages that ndf-mi needs (under ``""``) and those that each of its extras adds, by the extra's name."""
+    found: dict[str, list[str]] = {}
+    for line in importlib.metadata.requires(DISTRIBUTION) or []:
+        extra = re.search(r"extra\s*==\s*[\"']([\w-]+)", line)
+        name = re.match(r"[\w.-]+", line)
+        if name is not None and name[0] != DISTRIBUTION:
+            found.setdefault(extra[1] if extra else "", []).append(name[0])
+    return found
+
+
+def missing_packages(names: list[str]) -> list[str]:
+    """Those of some distributions that are not installed."""
+    return [name for name in names if not _installed(name)]
+
+
+def _installed(name: str) -> bool:
+    try:
+        importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
