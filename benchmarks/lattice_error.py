@@ -24,10 +24,10 @@ import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
 import volpath_cost  # noqa: E402
 
-from ndf_mi.field.sample import FieldSample  # noqa: E402
+from ndf_mi.field.sample import FieldSample, Located  # noqa: E402
 from ndf_mi.render.blocks import Blocks  # noqa: E402
 from ndf_mi.render.quadrature import quadrature  # noqa: E402
-from ndf_mi.render.strata import VolumeField  # noqa: E402
+from ndf_mi.render.ray_samples import VolumeField  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 
@@ -54,21 +54,21 @@ class Options:
 class Grid:
     """Mitsuba's grid volumes as a field."""
 
-    strata = 1
+    sample_factor = 1
 
     def __init__(self, medium: dict[str, Any], bbox: mi.BoundingBox3f) -> None:
         self.bbox = bbox
         self._sigma, self._albedo = (mi.load_dict(medium[name]) for name in ("sigma_t", "albedo"))
 
-    def near(self, x: mi.Point3f) -> mi.Bool:
+    def may_contain(self, x: mi.Point3f) -> mi.Bool:
         """True."""
         return dr.full(mi.Bool, True, dr.width(x))
 
-    def locate(self, x: mi.Point3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Handles that say nothing, and True."""
-        return dr.zeros(mi.UInt32, dr.width(x)), mi.Bool(active)
+    def locate(self, x: mi.Point3f, active: mi.Bool) -> Located:
+        """Every active point is valid."""
+        return Located.anywhere(active)
 
-    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: mi.UInt32, active: mi.Bool) -> FieldSample:
+    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool) -> FieldSample:
         """The volumes at points."""
         it = dr.zeros(mi.Interaction3f, dr.width(x))
         it.p = x

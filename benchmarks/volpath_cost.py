@@ -194,11 +194,10 @@ def baked(run: Run, frame: int, cells: int) -> dict[str, Any]:
             index = dr.arange(mi.UInt32, min(chunk, cells**3 - start)) + dr.opaque(mi.UInt32, start)
             at = mi.Point3f(mi.Float(index % cells), mi.Float(index // cells % cells), mi.Float(index // cells**2))
             x = mi.Point3f(*low.tolist()) + (at + 0.5) * step
-            near = posed.near(x)
-            handle, keep = posed.locate(x, near)
-            sample = posed.evaluate(x, dr.normalize(x - eye), handle, keep)
+            located = posed.locate(x, posed.may_contain(x))
+            sample = posed.evaluate(x, dr.normalize(x - eye), located, located.valid)
             sigma[start : start + len(index)] = sample.sigma.numpy()
-            some = keep.numpy()
+            some = located.valid.numpy()
             albedo[start : start + len(index)][some] = sample.colour.numpy().T[some]
     transform = mi.ScalarTransform4f().translate(low.tolist()).scale((high - low).tolist())
     volumes = {name: {"type": "gridvolume", "grid": mi.VolumeGrid(values.reshape(cells, cells, cells, -1)), "to_world": transform}

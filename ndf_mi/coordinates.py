@@ -11,14 +11,15 @@ import numpy as np
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.field import Preset
-from ndf_mi.projection import Projection, aligned
+from ndf_mi.field.sample import Located
+from ndf_mi.projection import aligned
 
 
 class Coordinates(Protocol):
     """A point of the band as numbers in the unit cube of the preset's `dimension`, attached to the point and to the vertices."""
 
-    def __call__(self, x: mi.Point3f, found: Projection, active: mi.Bool) -> list[mi.Float]:
-        """Coordinates of `x`, whose projection is `found`; zeros in inactive lanes."""
+    def __call__(self, x: mi.Point3f, located: Located, active: mi.Bool) -> list[mi.Float]:
+        """Coordinates of the points `x`, which lie at `located`; constants in inactive lanes."""
         ...
 
 
@@ -44,9 +45,9 @@ class Texel:
     def __init__(self, preset: Preset) -> None:
         self._distance = Distance(preset)
 
-    def __call__(self, x: mi.Point3f, found: Projection, active: mi.Bool) -> list[mi.Float]:
-        uv = dr.select(active, found.uv, 0.0)
-        return [uv.x, uv.y, self._distance(dr.select(active, found.l, 0.0))]
+    def __call__(self, x: mi.Point3f, located: Located, active: mi.Bool) -> list[mi.Float]:
+        uv = dr.select(active, located.uv, 0.0)
+        return [uv.x, uv.y, self._distance(dr.select(active, located.l, 0.0))]
 
 
 class SurfacePoint:
@@ -64,13 +65,13 @@ class SurfacePoint:
         low, extent = _cube(rest)
         self._corners = aligned(mi.Float(((rest - low) / extent)[faces].astype(np.float32).ravel()))
 
-    def __call__(self, x: mi.Point3f, found: Projection, active: mi.Bool) -> list[mi.Float]:
+    def __call__(self, x: mi.Point3f, located: Located, active: mi.Bool) -> list[mi.Float]:
         point = mi.Point3f(0)
         for k in range(3):
-            corner = dr.gather(mi.Point3f, self._corners, 3 * found.triangle + k, active)
-            point = point + corner * found.barycentric[k]
+            corner = dr.gather(mi.Point3f, self._corners, 3 * located.triangle + k, active)
+            point = point + corner * located.barycentric[k]
         point = dr.select(active, point, 0.0)
-        return [point.x, point.y, point.z, self._distance(dr.select(active, found.l, 0.0))]
+        return [point.x, point.y, point.z, self._distance(dr.select(active, located.l, 0.0))]
 
 
 class World:
@@ -79,7 +80,7 @@ class World:
     def __init__(self, preset: Preset, poses: Poses) -> None:
         self._low, self._extent = _cube(poses.vertices.reshape(-1, 3), preset.band)
 
-    def __call__(self, x: mi.Point3f, found: Projection, active: mi.Bool) -> list[mi.Float]:
+    def __call__(self, x: mi.Point3f, located: Located, active: mi.Bool) -> list[mi.Float]:
         low = mi.Point3f(*[float(v) for v in self._low])
         return list(dr.clip((dr.select(active, x, low) - low) / self._extent, 0.0, 1.0))
 

@@ -22,7 +22,7 @@ from ndf_mi import files
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.errors import InputError
-from ndf_mi.field import Preset
+from ndf_mi.field import Field, FieldParameters, Preset
 from ndf_mi.model import Model, PosedModel
 from ndf_mi.projection import PosedSurface
 
@@ -41,15 +41,18 @@ class Run:
         config: the contents of ``config.json``: `preset` (all options), `background` (3 numbers, sRGB), `capture` (`name`, `digest`),
             `training` and more, as the trainer wrote them.
         body, poses: as in the capture.
-        model: the field, with its weights.
+        model: architecture and coordinates of the field.
+        parameters: of the field.
     """
 
-    def __init__(self, path: str | os.PathLike[str], config: dict[str, Any], body: Body, poses: Poses, model: Model) -> None:
+    def __init__(self, path: str | os.PathLike[str], config: dict[str, Any], body: Body, poses: Poses, model: Model,
+                 parameters: FieldParameters) -> None:
         self.path = Path(path)
         self.config = config
         self.body = body
         self.poses = poses
         self.model = model
+        self.parameters = parameters
         self._surfaces: OrderedDict[int, PosedSurface] = OrderedDict()
 
     @property
@@ -79,7 +82,8 @@ class Run:
     def create(cls, path: str | os.PathLike[str], preset: Preset, body: Body, poses: Poses, seed: int, **config: Any) -> Run:
         """A fresh run with untrained weights; nothing is written until :meth:`save`."""
         config = {"format": FORMAT, "version": VERSION, "preset": preset.to_dict(), "seed": seed, **config}
-        return cls(path, config, body, poses, Model(body, poses, preset, seed))
+        model = Model(body, poses, preset)
+        return cls(path, config, body, poses, model, model.field.initial_parameters(seed))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Run:
@@ -93,34 +97,12 @@ class Run:
         preset = Preset.from_dict(config["preset"], f"{path / 'config.json'}: preset")
         body = Body.read(path / "body.npz")
         poses = Poses.read(path / "poses.npz", body)
-        run = cls(path, config, body, poses, Model(body, poses, preset, int(config["seed"])))
-        run.set_field(_read_tensors(path / "field.safetensors"), path / "field.safetensors")
-        return run
+        model = Model(body, poses, preset)
+        return cls(path, config, body, poses, model, _read_parameters(path / "field.safetensors", model.field))
 
     def field_tensors(self) -> dict[str, np.ndarray]:
         """The field's parameters as numpy arrays, by name."""
-        field = self.model.field
-        tensors = {"weights": field.weights.numpy()}
-        if field.grid is not None:
-            tensors["grid"] = field.grid.numpy()
-        return tensors
-
-    def set_field(self, tensors: dict[str, np.ndarray], where: str | os.PathLike[str]) -> None:
-        """Sets the field's parameters; InputError, and nothing set, unless names, sizes and values fit."""
-        current = self.field_tensors()
-        for name, value in current.items():
-            if name not in tensors:
-                raise InputError(f"{os.fspath(where)}: {name}", "no such tensor", f"{value.size} numbers")
-            found = tensors[name]
-            if found.shape != value.shape or found.dtype != np.float32:
-                raise InputError(f"{os.fspath(where)}: {name}", f"{found.dtype} of shape {found.shape}",
-                                 f"float32 of shape {value.shape}, as the preset has")
-            if not np.isfinite(found).all():
-                raise InputError(f"{os.fspath(where)}: {name}", "numbers that are not finite", "finite numbers")
-        field = self.model.field
-        field.weights = mi.Float(tensors["weights"])
-        if field.grid is not None:
-            field.grid = mi.Float(tensors["grid"])
+        return self.parameters.arrays()
 
     def save(self) -> None:
         """Writes the run; each file whole or not at all, ``config.json`` last."""
@@ -155,9 +137,15 @@ class Run:
         """Flat (3·J) axis-angles at a frame, the root's three zero."""
         return mi.Float(np.ascontiguousarray(self.poses.pose[self.poses.index(frame)], dtype=np.float32).ravel())
 
-    def posed(self, frame: int, networks: str = "auto") -> PosedModel:
-        """The field at a frame, with the weights that it has now (gradients flow to them); `networks` as in :class:`PosedModel`."""
-        return PosedModel(self.model, self.surface(frame), self.pose_vector(frame), networks=networks)
+    def posed(self, frame: int, networks: str = "auto", parameters: FieldParameters | None = None) -> PosedModel:
+        """The field at a frame.
+
+        Args:
+            frame: one of the poses'.
+            networks: as in :class:`PosedModel`.
+            parameters: in place of the run's own; gradients flow to them.
+        """
+        return PosedModel(self.model, parameters or self.parameters, self.surface(frame), self.pose_vector(frame), networks=networks)
 
     def posed_as(self, vertices: np.ndarray, pose: np.ndarray, networks: str = "auto") -> PosedModel:
         """The field around a body in any pose.
@@ -168,7 +156,8 @@ class Run:
             networks: as in :class:`PosedModel`.
         """
         surface = self.model.surface.pose(mi.Float(np.ascontiguousarray(vertices, np.float32).ravel()), self.model.band)
-        return PosedModel(self.model, surface, mi.Float(np.ascontiguousarray(pose, np.float32).ravel()), networks=networks)
+        pose_vector = mi.Float(np.ascontiguousarray(pose, np.float32).ravel())
+        return PosedModel(self.model, self.parameters, surface, pose_vector, networks=networks)
 
 
 def _read_config(path: Path) -> dict[str, Any]:
@@ -195,12 +184,21 @@ def _read_config(path: Path) -> dict[str, Any]:
     return config
 
 
-def _read_tensors(path: Path) -> dict[str, np.ndarray]:
+def _read_parameters(path: Path, field: Field) -> FieldParameters:
     try:
-        return load_file(path)
+        tensors = load_file(path)
     except FileNotFoundError:
         raise InputError(path, "no such file", "the field's weights") from None
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(path, f"a file that cannot be read ({error})", "a safetensors file") from None
-
-
+    for name, size in (("weights", field.size), ("grid", field.grid_size)):
+        if name not in tensors:
+            if size == 0:
+                continue
+            raise InputError(f"{path}: {name}", "no such tensor", f"{size} numbers")
+        found = tensors[name]
+        if found.shape != (size,) or found.dtype != np.float32:
+            raise InputError(f"{path}: {name}", f"{found.dtype} of shape {found.shape}", f"float32 of shape {(size,)}, as the preset has")
+        if not np.isfinite(found).all():
+            raise InputError(f"{path}: {name}", "numbers that are not finite", "finite numbers")
+    return FieldParameters(mi.Float(tensors["weights"]), mi.Float(tensors["grid"]) if field.grid_size else None)

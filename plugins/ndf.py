@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import os
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.errors import InputError
+from ndf_mi.field import FieldParameters
 from ndf_mi.model import PosedModel
 from ndf_mi.render import colours
 from ndf_mi.render.blocks import Blocks
@@ -132,9 +132,9 @@ def register() -> None:
             if self.lattice > 0 and self.run.model.field.preset.direction_octaves >= 0:
                 raise InputError("ndf: lattice", f"{self.lattice:g}, of a field whose colours depend on the view direction",
                                  "none, or a field without that", "A lattice holds one colour for all directions.")
-            field = self.run.model.field
-            self.weights = mi.Float(field.weights)
-            self.grid = mi.Float(field.grid) if field.grid is not None else None
+            parameters = self.run.parameters
+            self.weights = mi.Float(parameters.weights)
+            self.grid = mi.Float(parameters.grid) if parameters.grid is not None else None
             self.offset = offset_of(self.run, props)
             self.vertices = mi.Float((self.run.poses.vertices[self.run.poses.index(self.frame)] + self.offset).ravel())
             self.pose = self.run.pose_vector(self.frame)
@@ -150,10 +150,8 @@ def register() -> None:
             return self._model
 
         def _bind(self) -> None:
-            model = copy.copy(self.run.model)
-            model.field = copy.copy(model.field)
-            model.field.weights, model.field.grid = self.weights, self.grid
-            self._model = PosedModel(model, self._surface, self.pose)
+            model = self.run.model
+            self._model = PosedModel(model, FieldParameters(self.weights, self.grid), self._surface, self.pose)
             self._model.bound.pack()
             self._blocks: Blocks | None = None
             if self.lattice > 0:

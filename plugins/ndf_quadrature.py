@@ -7,6 +7,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ndf_mi.deprecated import rename_parameter
 from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel
 from ndf_mi.render import properties
@@ -47,10 +48,10 @@ def register() -> None:
          * - stratified
            - |bool|
            - Shift each ray's samples by a random part of their distance, drawn from the sampler. (Default: false)
-         * - hidden
+         * - min_transmittance
            - |float|
-           - Early termination: samples that less than this share of the light gets to, past those before them, are left out. It is found
-             from the densities alone, evaluated once more for it, and pays where gradients are taken. (Default: 0, none is left out)
+           - Early termination: samples whose transmittance is below this are skipped. Their transmittance follows from the densities
+             alone, evaluated once more for it, which pays where gradients are taken. (Default: 0, none is skipped)
          * - aovs
            - |string|
            - What else to output, separated by commas: depth (distance along the ray), opacity, uvl (the expected u, v and l),
@@ -74,9 +75,10 @@ def register() -> None:
             super().__init__(props)
             self.samples = properties.count(props, "ndf_quadrature", "samples", 128)
             self.stratified = bool(props.get("stratified", False))
-            self.hidden = float(props.get("hidden", 0.0))
-            if not 0 <= self.hidden < 1:
-                raise InputError("ndf_quadrature: hidden", f"{self.hidden:g}", "a transmittance in [0, 1)")
+            rename_parameter(props, "ndf_quadrature", "hidden", "min_transmittance")
+            self.min_transmittance = float(props.get("min_transmittance", 0.0))
+            if not 0 <= self.min_transmittance < 1:
+                raise InputError("ndf_quadrature: min_transmittance", f"{self.min_transmittance:g}", "a number in [0, 1)")
             self.aovs = properties.aovs(props, "ndf_quadrature", CHANNELS)
 
         def aov_names(self) -> list[str]:
@@ -105,9 +107,10 @@ def register() -> None:
             part = mi.Ray3f(dr.gather(mi.Point3f, ray.o, index), dr.gather(mi.Vector3f, ray.d, index))
             jitter = None
             if offset is not None:
-                jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples * model.strata)
+                jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples * model.sample_factor)
             geometry = "uvl" in self.aovs or "normal" in self.aovs
-            return quadrature(model, part, self.samples, jitter=jitter, scale=scale, hidden=self.hidden, geometry=geometry)
+            return quadrature(model, part, self.samples, jitter=jitter, scale=scale, min_transmittance=self.min_transmittance,
+                              geometry=geometry)
 
         def _aov_values(self, passes: list[Radiance]) -> list[mi.Float]:
             values: list[mi.Float] = []
@@ -120,7 +123,8 @@ def register() -> None:
             return values
 
         def to_string(self) -> str:
-            return (f"NDFQuadrature[samples = {self.samples}, stratified = {self.stratified}, hidden = {self.hidden}, "
+            return (f"NDFQuadrature[samples = {self.samples}, stratified = {self.stratified}, "
+                    f"min_transmittance = {self.min_transmittance}, "
                     f"aovs = {self.aovs}]")
 
     mi.register_integrator("ndf_quadrature", lambda props: NDFQuadrature(props))

@@ -76,7 +76,7 @@ def make_constant_run(make_run: Callable[..., Run]) -> Callable[..., Run]:
         # A limit, and with it a majorant, not far above: null collisions cost time.
         run = make_run(name, band=0.08, band_inside=0.08, band_fade=0.0, **{"density_limit": 2 * sigma, **changes})
         field = run.model.field
-        weights = field.weights.numpy()
+        weights = run.parameters.weights.numpy()
         p = field.preset
         activation = -p.density_limit * np.log1p(-sigma / p.density_limit) / p.density_gain
         for layer, row, value in (
@@ -87,7 +87,7 @@ def make_constant_run(make_run: Callable[..., Run]) -> Callable[..., Run]:
             columns = at.inputs + at.pose
             weights[at.offset + row * columns : at.offset + (row + 1) * columns] = 0
             weights[at.offset + at.outputs * columns + row] = value
-        field.weights = mi.Float(weights)
+        run.parameters = run.parameters.replace(weights=mi.Float(weights))
         run.save()
         return run
 

@@ -23,7 +23,7 @@ def make_ridge(
     run = make_run(name, **{"encoding": "frequency", "octaves": 0, "deformation_layers": (), "density_bias": 0.0, "density_gain": 60.0,
                             "density_limit": 200.0, **changes})
     field, preset = run.model.field, run.model.field.preset
-    weights = field.weights.numpy()
+    weights = run.parameters.weights.numpy()
 
     def unit(l):
         return (l + preset.band_inside) / (preset.band + preset.band_inside)
@@ -43,7 +43,7 @@ def make_ridge(
     for row, value in enumerate(srgb):
         weights[start + row * columns : start + (row + 1) * columns] = 0
         weights[start + outputs * columns + row] = np.log(value / (1 - value))
-    field.weights = mi.Float(weights)
+    run.parameters = run.parameters.replace(weights=mi.Float(weights))
     run.save()
 
     def density(l: np.ndarray) -> np.ndarray:

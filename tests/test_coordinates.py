@@ -86,11 +86,11 @@ def test_batched_and_fused_agree_on_every_kind(make_run, name, changes):
     rng = np.random.default_rng(1)
     x = mi.Point3f(rng.uniform(-0.35, 0.35, (3, 2000)).astype(np.float32))
     d = mi.Vector3f(0, 0, 1) + dr.zeros(mi.Vector3f, 2000)
-    handle, inside = posed.locate(x, mi.Bool(True))
-    batched, fused = posed.evaluate(x, d, handle, inside), posed.fused(x, d)
+    located = posed.locate(x, mi.Bool(True))
+    batched, fused = posed.evaluate(x, d, located, located.valid), posed.fused(x, d)
     limit = posed.bound.preset.density_limit
     np.testing.assert_allclose(batched.sigma.numpy(), fused.sigma.numpy(), atol=1e-5 * limit)
-    np.testing.assert_allclose(batched.colour.numpy()[:, inside.numpy()], fused.colour.numpy()[:, inside.numpy()], atol=1e-4)
+    np.testing.assert_allclose(batched.colour.numpy()[:, located.valid.numpy()], fused.colour.numpy()[:, located.valid.numpy()], atol=1e-4)
 
 
 def test_without_a_pose_network_nothing_depends_on_the_pose(make_run):
@@ -98,13 +98,13 @@ def test_without_a_pose_network_nothing_depends_on_the_pose(make_run):
     x = mi.Point3f([0.1, 0.2], [0.2, -0.1], [0.25, 0.24])
     d = mi.Vector3f(0, 0, 1) + dr.zeros(mi.Vector3f, 2)
     one, other = (run.posed_as(run.poses.vertices[0], run.poses.pose[frame]) for frame in (0, 2))
-    handle, inside = one.locate(x, mi.Bool(True))
-    assert inside.numpy().all()
-    for mine, its in zip(*((s.sigma, *s.colour) for s in (p.evaluate(x, d, handle, inside) for p in (one, other))), strict=True):
+    located = one.locate(x, mi.Bool(True))
+    assert located.valid.numpy().all()
+    for mine, its in zip(*((s.sigma, *s.colour) for s in (p.evaluate(x, d, located, located.valid) for p in (one, other))), strict=True):
         assert (mine.numpy() == its.numpy()).all()
 
 
-@pytest.mark.parametrize("key, value", [("coordinates", "uvw"), ("distance", "half"), ("strata", 0)])
+@pytest.mark.parametrize("key, value", [("coordinates", "uvw"), ("distance", "half"), ("sample_factor", 0)])
 def test_wrong_kinds_are_named(key, value):
     with pytest.raises(InputError, match=key):
         dataclasses.replace(TINY, **{key: value})

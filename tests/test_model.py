@@ -14,7 +14,7 @@ from ndf_mi.render.quadrature import quadrature
 @pytest.fixture
 def run(make_run):
     run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16)
-    run.model.field.grid = run.model.field.grid * 5e3
+    run.parameters = run.parameters.replace(grid=run.parameters.grid * 5e3)
     return run
 
 
@@ -37,7 +37,7 @@ def test_gradients_reach_the_vertices(run, trial):
         flat = mi.Float(vertices.astype(np.float32).ravel())
         dr.enable_grad(flat)
         surface = run.model.surface.pose(flat, run.model.band)
-        seen = quadrature(PosedModel(run.model, surface, run.pose_vector(0)), ray, 1024)
+        seen = quadrature(PosedModel(run.model, run.parameters, surface, run.pose_vector(0)), ray, 1024)
         return seen.colour.x + seen.colour.y + 0.3 * seen.opacity, flat
 
     image, flat = render(start)
@@ -50,19 +50,19 @@ def test_gradients_reach_the_vertices(run, trial):
 
 
 @pytest.mark.parametrize("widths", [(16,), (96,)])
-def test_what_is_hidden_is_left_out_without_being_missed(make_run, widths):
-    """Picture and gradients stay, to the share of light that is asked for, and fewer samples reach the networks."""
+def test_samples_behind_opaque_parts_are_skipped_without_being_missed(make_run, widths):
+    """Image and gradients stay within the transmittance asked for, and fewer samples reach the networks."""
     run = make_run(seed=3, density_bias=1.0, density_gain=60.0, grid_finest=16, density_layers=widths)
-    run.model.field.grid = run.model.field.grid * 5e3
+    run.parameters = run.parameters.replace(grid=run.parameters.grid * 5e3)
     ray, weights = rays(2000)
     found = []
-    for hidden in (0.0, 1e-3):
-        field = run.model.field
-        field.weights = mi.Float(field.weights.numpy())
-        dr.enable_grad(field.weights)
-        seen = quadrature(run.posed(0), ray, 256, hidden=hidden)
+    for min_transmittance in (0.0, 1e-3):
+        weights_now = mi.Float(run.parameters.weights)
+        dr.enable_grad(weights_now)
+        posed = run.posed(0, parameters=run.parameters.replace(weights=weights_now))
+        seen = quadrature(posed, ray, 256, min_transmittance=min_transmittance)
         dr.backward(dr.sum((seen.colour.x + 0.3 * seen.opacity) * mi.Float(weights.astype(np.float32))))
-        found.append((seen, dr.grad(field.weights).numpy()))
+        found.append((seen, dr.grad(weights_now).numpy()))
     (whole, slope), (part, other) = found
     np.testing.assert_allclose(part.colour.numpy(), whole.colour.numpy(), atol=1e-3)
     np.testing.assert_allclose(part.opacity.numpy(), whole.opacity.numpy(), atol=1e-3)
@@ -77,11 +77,11 @@ def test_symbolic_and_batched_evaluation_agree(run):
     posed = run.posed(0)
     posed.bound.pack()
     fused = posed.fused(x, d)
-    handle, inside = posed.locate(x, mi.Bool(True))
-    batched = posed.evaluate(x, d, handle, inside)
+    located = posed.locate(x, mi.Bool(True))
+    batched = posed.evaluate(x, d, located, located.valid)
     half = posed.bound.half
     np.testing.assert_allclose(fused.sigma.numpy(), batched.sigma.numpy(), rtol=1e-2 if half else 1e-7, atol=1e-4)
-    inside = inside.numpy()
+    inside = located.valid.numpy()
     assert 0.1 < inside.mean() < 0.9 and (fused.sigma.numpy()[~inside] == 0).all()
     np.testing.assert_allclose(fused.colour.numpy()[:, inside], batched.colour.numpy()[:, inside], atol=2e-3 if half else 1e-5)
 
@@ -94,10 +94,10 @@ def test_networks_run_in_every_form_to_the_same_values(run):
     found = {}
     for networks in networks_here():
         posed = run.posed(0, networks)
-        handle, inside = posed.locate(x, mi.Bool(True))
-        sample = posed.evaluate(x, d, handle, inside)
+        located = posed.locate(x, mi.Bool(True))
+        sample = posed.evaluate(x, d, located, located.valid)
         assert posed.bound.packed == (networks != "batched" and (networks != "auto" or variants.fused_width() > 0))
-        found[networks] = np.stack([sample.sigma.numpy() / 10, *sample.colour.numpy()])[:, inside.numpy()]
+        found[networks] = np.stack([sample.sigma.numpy() / 10, *sample.colour.numpy()])[:, located.valid.numpy()]
     for networks in {"auto", "fused"} & set(found):
         np.testing.assert_allclose(found[networks], found["batched"], atol=1e-4)
     error = np.abs(found["half"] - found["batched"])
@@ -112,17 +112,16 @@ def test_lanes_without_a_meaning_do_not_poison_gradients(run):
     active = np.ones(2000, bool)
     active[::7] = False
     for symbolic in (True, False):
-        field = run.model.field
-        field.weights = mi.Float(field.weights.numpy())
-        dr.enable_grad(field.weights)
-        posed = run.posed(0)
+        weights = mi.Float(run.parameters.weights)
+        dr.enable_grad(weights)
+        posed = run.posed(0, parameters=run.parameters.replace(weights=weights))
         posed.bound.pack()
         d = mi.Vector3f(0, 0, mi.Float(np.where(active, 1, np.nan).astype(np.float32)))
         if symbolic:
             sample = posed.fused(mi.Point3f(x), d, mi.Bool(active))
         else:
-            handle, inside = posed.locate(mi.Point3f(x), mi.Bool(active))
-            sample = posed.evaluate(mi.Point3f(x), d, handle, inside)
+            located = posed.locate(mi.Point3f(x), mi.Bool(active))
+            sample = posed.evaluate(mi.Point3f(x), d, located, located.valid)
         dr.backward(dr.sum(dr.select(mi.Bool(active), sample.sigma + sample.colour.x, 0)))
-        gradient = dr.grad(field.weights).numpy()
+        gradient = dr.grad(weights).numpy()
         assert np.isfinite(gradient).all() and np.abs(gradient).max() > 0

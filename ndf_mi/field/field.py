@@ -5,7 +5,9 @@ It knows nothing of meshes, scenes or files: its input is the projected point (u
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import drjit as dr
@@ -21,24 +23,48 @@ from ndf_mi.field.presets import Preset
 from ndf_mi.numerics import saturated, softplus
 
 
-class Field:
-    """The networks of a preset with their weights, before a pose is given.
+@dataclass(frozen=True)
+class FieldParameters:
+    """The numbers that training changes.
 
     Attributes:
-        preset: the architecture.
-        joints: number J of the body's joints; the pose vector has 3·J entries.
         weights: flat float32 vector of all layers, in the order of :func:`ndf_mi.field.layers.layout`.
         grid: flat float32 hash table, or None where the preset has none.
     """
 
-    def __init__(self, preset: Preset, joints: int, seed: int = 0) -> None:
-        rng = np.random.default_rng(seed)
+    weights: mi.Float
+    grid: mi.Float | None = None
+
+    def replace(self, **changes: mi.Float) -> FieldParameters:
+        """The same with some of them exchanged, by name."""
+        return dataclasses.replace(self, **changes)
+
+    def detached(self) -> FieldParameters:
+        """The same values without gradients."""
+        return FieldParameters(dr.detach(self.weights), None if self.grid is None else dr.detach(self.grid))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Numpy arrays by name; `grid` only where there is one."""
+        arrays = {"weights": self.weights.numpy()}
+        if self.grid is not None:
+            arrays["grid"] = self.grid.numpy()
+        return arrays
+
+
+class Field:
+    """The networks of a preset: an architecture, without parameters.
+
+    Attributes:
+        preset: the architecture's options.
+        joints: number J of the body's joints; the pose vector has 3·J entries.
+        layers: the layers by name, and where each lies in the flat vector of weights.
+    """
+
+    def __init__(self, preset: Preset, joints: int) -> None:
         self.preset = preset
         self.joints = joints
         self.layers = layout(preset, joints)
-        self.weights = mi.Float(initial_weights(self.layers, rng))
-        self._encoding = GridEncoding(preset) if preset.encoding == "grid" else None
-        self.grid: mi.Float | None = mi.Float(self._encoding.initial(rng)) if self._encoding else None
+        self.encoding = GridEncoding(preset) if preset.encoding == "grid" else None
 
     @property
     def size(self) -> int:
@@ -46,17 +72,29 @@ class Field:
         return sum(layer.size for layer in self.layers.values())
 
     @property
+    def grid_size(self) -> int:
+        """Number of the hash table's entries; 0 without one."""
+        return 0 if self.encoding is None else self.encoding.size
+
+    @property
     def majorant(self) -> float:
         """A bound strictly above every density in 1/m, known from the activation alone."""
         return 1.05 * self.preset.density_limit
 
-    def bind(self, pose: mi.Float) -> BoundField:
-        """The field at one pose: pose features are computed and folded into biases and matrices, once for all samples.
+    def initial_parameters(self, seed: int = 0) -> FieldParameters:
+        """Random parameters to start training from; the same for the same seed."""
+        rng = np.random.default_rng(seed)
+        weights = mi.Float(initial_weights(self.layers, rng))
+        return FieldParameters(weights, None if self.encoding is None else mi.Float(self.encoding.initial(rng)))
+
+    def bind(self, pose: mi.Float, parameters: FieldParameters) -> BoundField:
+        """The field at one pose. Pose features are computed and folded into biases and matrices once for all samples.
 
         Args:
             pose: (3·J) axis-angles of the joints relative to their parents, in radians; the root's three are zero.
+            parameters: as many as the architecture has; gradients flow to them.
         """
-        return BoundField(self, pose)
+        return BoundField(self, pose, parameters)
 
 
 class BoundField:
@@ -67,12 +105,12 @@ class BoundField:
         width: of the widest layer that a sample passes through.
     """
 
-    def __init__(self, field: Field, pose: mi.Float) -> None:
+    def __init__(self, field: Field, pose: mi.Float, parameters: FieldParameters) -> None:
         self.preset = field.preset
         self.majorant = field.majorant
         self._layers = field.layers
-        self._encoding = field._encoding
-        self._grid = field.grid
+        self._encoding = field.encoding
+        self._grid = parameters.grid
         self._packed: dict[str, tuple[Any, Any]] | None = None
         self._half = False
         self._packed_detached: dict[str, tuple[Any, Any]] | None = None
@@ -80,14 +118,14 @@ class BoundField:
 
         features = mi.TensorXf(pose, (3 * field.joints, 1))
         for i in range(len(self.preset.pose_layers)):
-            weight, bias, _ = _split(field.weights, self._layers[f"pose{i}"])
+            weight, bias, _ = _split(parameters.weights, self._layers[f"pose{i}"])
             features = dr.maximum(weight @ features + bias, 0)
         self._tensors: dict[str, tuple[mi.TensorXf, mi.TensorXf]] = {}
         for name, layer in self._layers.items():
             if not name.startswith("pose"):
-                weight, bias, pose_weight = _split(field.weights, layer)
+                weight, bias, pose_weight = _split(parameters.weights, layer)
                 if layer.products:
-                    weight = weight + _products(field.weights, layer, features)
+                    weight = weight + _products(parameters.weights, layer, features)
                 self._tensors[name] = (weight, bias if pose_weight is None else pose_weight @ features + bias)
 
     def batched(self, u: Sequence[mi.Float], d: mi.Vector3f, n: mi.Normal3f) -> tuple[mi.Float, mi.Color3f]:

@@ -35,14 +35,14 @@ class Occupancy:
         self.values = dr.full(mi.Float, threshold / decay**_UNTIL_EMPTY, int(np.prod(resolution)))
         dr.make_opaque(self.values)
 
-    def keep(self, u: mi.Point3f) -> tuple[mi.Bool, mi.Bool]:
-        """Which points of the unit cube to evaluate: those in occupied cells and a random few of the others; and which are of the
-        latter."""
+    def keep(self, u: mi.Point3f) -> tuple[mi.Bool, mi.Float]:
+        """Which points of the unit cube to evaluate, those in occupied cells and a random few of the others, and how many points
+        each then stands for: 1 in occupied cells, 1 / `explore` in the others."""
         with dr.suspend_grad():
             occupied = dr.gather(mi.Float, self.values, self._cell(u)) > self._threshold
             # Four rounds, the default, keep 3 % too many over neighbouring numbers.
             chance = mi.sample_tea_float32(dr.arange(mi.UInt32, dr.width(u)), dr.opaque(mi.UInt32, self._salt), 8)
-            return occupied | (chance < self.explore), ~occupied
+            return occupied | (chance < self.explore), dr.select(occupied, mi.Float(1.0), 1.0 / self.explore)
 
     def observe(self, u: mi.Point3f, sigma: mi.Float, active: mi.Bool) -> None:
         """Takes in the densities of a step's samples."""

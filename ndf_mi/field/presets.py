@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from ndf_mi.deprecated import PRESET_FIELDS, rename_entries
 from ndf_mi.errors import InputError
 from ndf_mi.options import read_options
 
@@ -36,8 +37,8 @@ class Preset:
     distance: Literal["signed", "unsigned", "none"] = "signed"
     """How l enters the networks (not with `world`): with its sign, without it, or not at all, as 0."""
 
-    strata: int = 1
-    """Factor on the candidate samples a ray: a band thinner than the strata would be missed."""
+    sample_factor: int = 1
+    """Factor on the candidate samples a ray: samples farther apart than the band is thick would miss it."""
 
     pose_layers: tuple[int, ...] = (64, 16)
     """Widths of the pose network; the last is the number of pose features. Empty: nothing depends on the pose."""
@@ -136,7 +137,7 @@ class Preset:
             check(all(type(w) is int and w > 0 for w in widths) and bool(widths or not needed), key, "a list of widths above 0")
         check(self.coordinates in ("texel", "surface", "world"), "coordinates", "texel, surface or world")
         check(self.distance in ("signed", "unsigned", "none"), "distance", "signed, unsigned or none")
-        check(self.strata >= 1, "strata", "a whole number from 1 on")
+        check(self.sample_factor >= 1, "sample_factor", "a whole number from 1 on")
         check(len(self.colour_linear) != 1, "colour_linear", "no layers, or at least two: the pose joins at the second")
         for key in ("normal_octaves", "direction_octaves"):
             check(-1 <= getattr(self, key) <= 1024, key, "-1, or a whole number up to 1024")
@@ -166,7 +167,7 @@ class Preset:
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "preset") -> Preset:
         """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
-        return read_options(PRESETS["fast"], values, where)
+        return read_options(PRESETS["fast"], rename_entries(values, PRESET_FIELDS), where)
 
 
 #: Options that older files lack, with what was before there was a choice: their defaults.

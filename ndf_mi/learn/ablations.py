@@ -38,7 +38,7 @@ class Ablation:
 
 #: A sheet of a centimetre around the skin, in which nothing changes along l: as thin as samples can be trusted to meet.
 #: Its density may be higher, so that so thin a sheet can be opaque, and the term against density at the band's edge is out of place.
-_NAKED = {"distance": "none", "band": 0.005, "band_inside": 0.005, "band_fade": 0.0, "strata": 4}
+_NAKED = {"distance": "none", "band": 0.005, "band_inside": 0.005, "band_fade": 0.0, "sample_factor": 4}
 
 ABLATIONS: dict[str, Ablation] = {
     "full": Ablation("full model", "nothing is taken away"),

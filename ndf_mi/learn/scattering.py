@@ -115,7 +115,7 @@ class ScatteringTrainer(Trainer):
             return super()._gradients(batch)
         stage, replay = self._set_up()
         seen = self._see(batch)
-        posed = PosedModel(self.run.model, self.run.surface(batch.frame), self._pose)
+        posed = PosedModel(self.run.model, self.parameters, self.run.surface(batch.frame), self._pose)
         baked = stage.place(posed, batch.frame, self._rng.random(3))
         ray = repeated(mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction)), self.options.paths)
         seed = int(self._rng.integers(2**32))

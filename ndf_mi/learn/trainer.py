@@ -13,6 +13,7 @@ import numpy as np
 
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
+from ndf_mi.field import FieldParameters
 from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.learn.guard import Guard
 from ndf_mi.learn.loss import ImageLoss
@@ -75,7 +76,7 @@ class Trainer:
         self._rays = RaySampler(capture, capture.splits["train"], options)
         self._rng = np.random.default_rng([options.seed, 1])
         preset = run.model.field.preset
-        self._candidates = options.rays * options.samples * preset.strata
+        self._candidates = options.rays * options.samples * preset.sample_factor
         self._loss = ImageLoss(options, mi.Color3f(*[float(v) for v in run.background]), preset.band, preset.density_gain)
         self._make_optimisers()
         # Two percent of opacity over a centimetre; what is never seen stays as thin as training starts, just below it.
@@ -88,18 +89,23 @@ class Trainer:
 
     def _make_optimisers(self) -> None:
         """Fresh optimisers, without moments, of the weights that the run has, and a guard over them."""
-        options, field = self.options, self.run.model.field
-        self._networks = mi.ad.Adam(lr=options.learning_rate, params={"weights": field.weights})
+        options, parameters = self.options, self.run.parameters
+        self._networks = mi.ad.Adam(lr=options.learning_rate, params={"weights": parameters.weights})
         # Most entries of the table see no sample in a step: those keep their value and moments, as in the grid's paper.
         self._table = None
-        if field.grid is not None:
-            self._table = mi.ad.Adam(lr=options.grid_rate, params={"grid": field.grid}, mask_updates=True, epsilon=1e-15)
+        if parameters.grid is not None:
+            self._table = mi.ad.Adam(lr=options.grid_rate, params={"grid": parameters.grid}, mask_updates=True, epsilon=1e-15)
         self._guard = Guard([self._networks] if self._table is None else [self._networks, self._table])
 
     @property
     def progress(self) -> Progress:
         """Where training stands."""
         return Progress(self._step, self._seconds, self._error, self._box_error, self._evaluated, self._guard.refused, self._guard.factor)
+
+    @property
+    def parameters(self) -> FieldParameters:
+        """The field's parameters as the optimisers have them now; their gradients are tracked."""
+        return FieldParameters(self._networks["weights"], None if self._table is None else self._table["grid"])
 
     @property
     def done(self) -> float:
@@ -156,21 +162,14 @@ class Trainer:
     def _see(self, batch: RayBatch) -> Radiance:
         """The field as it is now along a batch of rays, by quadrature, attached to the optimisers' parameters."""
         jitter = mi.Float(self._rng.random(self._candidates, dtype=np.float32))
-        field = self.run.model.field
-        field.weights = self._networks["weights"]
-        if self._table is not None:
-            field.grid = self._table["grid"]
         self._pose = self._noisy_pose(batch.frame)
-        self._posed = PosedModel(self.run.model, self.run.surface(batch.frame), self._pose, self._occupancy)
+        self._posed = PosedModel(self.run.model, self.parameters, self.run.surface(batch.frame), self._pose, self._occupancy)
         ray = mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction))
-        return quadrature(self._posed, ray, self.options.samples, jitter=jitter, hidden=self.options.skip_hidden)
+        return quadrature(self._posed, ray, self.options.samples, jitter=jitter, min_transmittance=self.options.skip_hidden)
 
     def publish(self) -> None:
         """Puts the current weights, detached, into the run's field."""
-        field = self.run.model.field
-        field.weights = dr.detach(self._networks["weights"])
-        if self._table is not None:
-            field.grid = dr.detach(self._table["grid"])
+        self.run.parameters = self.parameters.detached()
 
     def save(self) -> None:
         """Writes the state to go on from, then the field."""

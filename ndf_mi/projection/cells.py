@@ -74,7 +74,7 @@ class Cells:
         """Node and trail with which a search from the cell begins; node 0 where the band does not touch the cell."""
         return dr.gather(mi.UInt32, self._node, cell, active), dr.gather(mi.UInt32, self._trail, cell, active)
 
-    def near(self, x: mi.Point3f) -> mi.Bool:
+    def may_contain(self, x: mi.Point3f) -> mi.Bool:
         """Whether the band can touch the cell of x."""
         cell, inside = self.locate(x)
         return dr.gather(mi.UInt32, self._node, cell, inside) != 0

@@ -89,10 +89,10 @@ class PosedSurface:
             self._vertex_normals = vertex_normals(surface, detached, self._face_normals)
             self._cells = Cells(low - pad, high + pad, self.band, self._frame, self._boxes)
 
-    def near(self, x: mi.Point3f) -> mi.Bool:
+    def may_contain(self, x: mi.Point3f) -> mi.Bool:
         """False only where |l| > band for certain; reads one cell."""
         with dr.suspend_grad():
-            return self._cells.near(mi.Point3f(dr.detach(x)))
+            return self._cells.may_contain(mi.Point3f(dr.detach(x)))
 
     def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> mi.UInt32:
         """Number of the closest triangle, detached; 0 in lanes that are inactive or farther away than the band."""

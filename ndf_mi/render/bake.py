@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from ndf_mi.field.sample import Located
+from ndf_mi.render.ray_samples import VolumeField
 from ndf_mi.render.sampling import compact
-from ndf_mi.render.strata import VolumeField
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Baked:
         return total
 
 
-def gathered(volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], candidates: mi.Bool) -> tuple[mi.UInt32, Any, mi.Bool]:
+def gathered(volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], candidates: mi.Bool) -> tuple[mi.UInt32, Located, mi.Bool]:
     """The nodes that lie in a field, of those that are candidates; detached.
 
     Args:
@@ -46,17 +46,17 @@ def gathered(volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], candida
         candidates: which of them to look at, one lane each.
 
     Returns:
-        K lanes: the node, the field's handle of it, and whether the lane is one or padding.
+        K lanes: the node, where it lies, and whether the lane is one or padding.
     """
     with dr.suspend_grad():
-        chosen, real, _ = compact(candidates & volume.near(at(dr.arange(mi.UInt32, dr.width(candidates)))))
-        handle, inside = volume.locate(at(chosen), real)
-        inside &= real
-        dr.eval(handle, inside)
-        second, real, _ = compact(inside)
-        index, handle = dr.gather(mi.UInt32, chosen, second), dr.gather(type(handle), handle, second)
-        dr.eval(index, handle)
-    return index, handle, real
+        chosen, real, _ = compact(candidates & volume.may_contain(at(dr.arange(mi.UInt32, dr.width(candidates)))))
+        located = volume.locate(at(chosen), real)
+        located.valid &= real
+        dr.eval(located)
+        second, real, _ = compact(located.valid)
+        index, located = dr.gather(mi.UInt32, chosen, second), dr.gather(Located, located, second)
+        dr.eval(index, located)
+    return index, located, real
 
 
 def bake(volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, int, int]) -> Baked:
@@ -80,9 +80,9 @@ def bake(volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, in
         row = index // nx
         layer, i, j = row // ny, index - row * nx, row % ny
         inner = (i > 0) & (i < nx - 1) & (j > 0) & (j < ny - 1) & (layer > 0) & (layer < nz - 1)
-    index, handle, real = gathered(volume, at, inner)
+    index, located, real = gathered(volume, at, inner)
     direction = mi.Vector3f(dr.zeros(mi.Float, dr.width(index)), 0.0, 1.0)
-    sample = volume.evaluate(at(index), direction, handle, real)
+    sample = volume.evaluate(at(index), direction, located, real)
     values = (sample.sigma, *(sample.sigma * channel for channel in sample.colour))
     with dr.suspend_grad():
         nodes = dr.zeros(mi.Float, 4 * count)

@@ -13,10 +13,10 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.errors import InputError
-from ndf_mi.field.sample import FieldSample
+from ndf_mi.field.sample import FieldSample, Located
 from ndf_mi.projection import Surface
 from ndf_mi.render.bake import gathered
-from ndf_mi.render.strata import VolumeField
+from ndf_mi.render.ray_samples import VolumeField
 
 SIDE = 8
 """Cells of a block along each axis. Its nodes are one more: those on its border are its neighbours', too."""
@@ -56,7 +56,7 @@ class Blocks:
         InputError: so many blocks would not fit into memory.
     """
 
-    strata = 1
+    sample_factor = 1
     """Looking up needs no more candidate samples than asked for."""
 
     def __init__(self, volume: VolumeField, surface: Surface, vertices: mi.Float, reach: float, cell: float) -> None:
@@ -81,15 +81,19 @@ class Blocks:
         self._table, self._nodes = mi.UInt32(table), mi.Float(values)
         self.majorant = max(float(values[::4].max()) * _MARGIN, _FLOOR)
 
-    def near(self, x: mi.Point3f) -> mi.Bool:
+    def may_contain(self, x: mi.Point3f) -> mi.Bool:
         """True: looking up is no dearer than asking."""
         return dr.full(mi.Bool, True, dr.width(x))
 
-    def locate(self, x: mi.Point3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Handles that say nothing, and True."""
-        return dr.zeros(mi.UInt32, dr.width(x)), mi.Bool(active)
+    def locate(self, x: mi.Point3f, active: mi.Bool) -> Located:
+        """Every active point is valid."""
+        return Located.anywhere(mi.Bool(active) & dr.full(mi.Bool, True, dr.width(x)))
 
-    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: mi.UInt32, active: mi.Bool) -> FieldSample:
+    def density(self, x: mi.Point3f, located: Located, active: mi.Bool) -> mi.Float:
+        """σ at points in 1/m."""
+        return self.fused(x, mi.Vector3f(0.0), active).sigma
+
+    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool) -> FieldSample:
         """The lattice at points; coordinates and normals are zero."""
         return self.fused(x, d, active)
 
@@ -139,8 +143,8 @@ class Blocks:
                 within = mi.Point3f(node % (SIDE + 1), node // (SIDE + 1) % (SIDE + 1), node // (SIDE + 1) ** 2)
                 return self._low + self.cell * (corner + within)
 
-            index, handle, real = gathered(volume, at, dr.arange(mi.UInt32, _CHUNK * _NODES) < dr.opaque(mi.UInt32, len(some) * _NODES))
-            sample = volume.evaluate(at(index), mi.Vector3f(dr.zeros(mi.Float, dr.width(index)), 0.0, 1.0), handle, real)
+            index, located, real = gathered(volume, at, dr.arange(mi.UInt32, _CHUNK * _NODES) < dr.opaque(mi.UInt32, len(some) * _NODES))
+            sample = volume.evaluate(at(index), mi.Vector3f(dr.zeros(mi.Float, dr.width(index)), 0.0, 1.0), located, real)
             nodes = dr.zeros(mi.Float, 4 * _CHUNK * _NODES)
             for channel, value in enumerate((sample.sigma, *(sample.sigma * c for c in sample.colour))):
                 dr.scatter(nodes, value, 4 * index + channel, real, mode=dr.ReduceMode.Permute)

@@ -19,8 +19,8 @@ import numpy as np
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.errors import InputError
 from ndf_mi.render.quadrature import quadrature
+from ndf_mi.render.ray_samples import VolumeField
 from ndf_mi.render.sampling import QUANTUM, box_interval, rounded
-from ndf_mi.render.strata import VolumeField
 
 LANES = 1 << 19
 """Candidate samples looked at at once. Every tile of an image has as many rays as make this number, or as there are, so that one set of
@@ -128,7 +128,7 @@ class ImageRenderer:
             ray: which of its rays.
             work: to which it is added.
         """
-        rounds, count, tile = self.tiling(volume.strata, len(pixels))
+        rounds, count, tile = self.tiling(volume.sample_factor, len(pixels))
         out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
         transmittance = np.ones(camera.h * camera.w, dtype=np.float32)
         for number in range(rounds):
@@ -140,11 +140,11 @@ class ImageRenderer:
                 rays = self._rays(camera, index, _place(ray))
                 # The padding's rays end where they start, and so cost next to nothing.
                 rays.maxt = dr.select(dr.arange(mi.UInt32, tile) < dr.opaque(mi.UInt32, len(chosen)), dr.inf, 0.0)
-                jitter = dr.repeat(_shift(index, ray), count * volume.strata) if self.stratified else None
+                jitter = dr.repeat(_shift(index, ray), count * volume.sample_factor) if self.stratified else None
                 seen = quadrature(volume, rays, self.samples, jitter=jitter, window=(number * count, count), geometry=geometry)
                 work.tiles += 1
-                work.lanes += tile * count * volume.strata
-                work.candidates += len(chosen) * count * volume.strata
+                work.lanes += tile * count * volume.sample_factor
+                work.candidates += len(chosen) * count * volume.sample_factor
                 work.evaluated += seen.evaluated
                 work.launched += dr.width(seen.inside)
                 rows = [*seen.colour, seen.opacity, seen.depth]
@@ -163,12 +163,12 @@ class ImageRenderer:
                 pixels = pixels[transmittance[pixels] > self.cutoff]
         return out
 
-    def tiling(self, strata: int, rays: int) -> tuple[int, int, int]:
-        """Rounds, samples a ray of each, and rays that are looked at at once, where so many meet a field with that factor `strata`."""
+    def tiling(self, sample_factor: int, rays: int) -> tuple[int, int, int]:
+        """Rounds, samples a ray of each, and rays that are looked at at once, where so many meet a field with that `sample_factor`."""
         rounds = max(n for n in range(1, min(self.rounds, self.samples) + 1) if self.samples % n == 0)
         count = self.samples // rounds
         # Padding costs little a lane, but where few samples of few rays are wanted it would be most lanes.
-        return rounds, count, min(max(LANES // (count * strata), 1), rounded(rays, QUANTUM))
+        return rounds, count, min(max(LANES // (count * sample_factor), 1), rounded(rays, QUANTUM))
 
     def met(self, volume: VolumeField, camera: RaySource) -> int:
         """How many rays of an image meet the field's box: what its time is proportional to. Cheap."""

@@ -11,6 +11,7 @@ import numpy as np
 from ndf_mi.field import Preset
 from ndf_mi.model import PosedModel
 from ndf_mi.render.blocks import Blocks
+from ndf_mi.render.ray_samples import VolumeField
 from ndf_mi.render.shell import PARTS, Grid, Lattice, reduce_parts, spread
 
 MARGIN = 1.25
@@ -65,14 +66,8 @@ class Excess:
                 f"so were {self.count} of {self.checked} points")
 
 
-def densities(model: PosedModel | Blocks, points: np.ndarray, triangles: np.ndarray | None = None) -> np.ndarray:
-    """(N,) float32 densities in 1/m at points (N, 3), zero outside the band.
-
-    Args:
-        model: the field at its pose.
-        points: metres, world.
-        triangles: (N,) closest triangle of each, where known.
-    """
+def densities(volume: VolumeField, points: np.ndarray) -> np.ndarray:
+    """(N,) float32 densities in 1/m at points (N, 3) in metres, world; zero outside the field."""
     result = np.zeros(len(points), dtype=np.float32)
     d = mi.Vector3f(dr.zeros(mi.Float, CHUNK), 0.0, 1.0)
     with dr.suspend_grad():
@@ -80,11 +75,9 @@ def densities(model: PosedModel | Blocks, points: np.ndarray, triangles: np.ndar
             count = min(CHUNK, len(points) - start)
             padded = np.resize(points[start : start + count].astype(np.float32), (CHUNK, 3))
             x = mi.Point3f(padded.T)
-            if triangles is None:
-                handle, active = model.locate(x, model.near(x))
-            else:
-                handle, active = mi.UInt32(np.resize(triangles[start : start + count], CHUNK)), dr.full(mi.Bool, True, CHUNK)
-            result[start : start + count] = model.evaluate(x, d, handle, active).sigma.numpy()[:count]
+            located = volume.locate(x, volume.may_contain(x))
+            dr.eval(located)
+            result[start : start + count] = volume.evaluate(x, d, located, located.valid).sigma.numpy()[:count]
     return result
 
 
@@ -104,7 +97,7 @@ def bounds(model: PosedModel | Blocks, preset: Preset, sampled: Lattice, margin:
     some = (inside <= preset.band) & (inside >= -preset.band_inside)
     places = sampled.places[some]
     sigma = np.zeros(sampled.distance.shape, dtype=np.float32)
-    sigma.reshape(-1)[places] = densities(model, sampled.points(places), sampled.triangles[some])
+    sigma.reshape(-1)[places] = densities(model, sampled.points(places))
     band = sampled.band_cells(preset.band, preset.band_inside)
     upper = np.clip(margin * reduce_parts(spread(sigma), np.maximum), FLOOR, model.majorant)
     mean = reduce_parts(sigma, np.add) / PARTS**3

@@ -14,7 +14,7 @@ import mitsuba as mi
 
 from ndf_mi.field.sample import FieldSample
 from ndf_mi.numerics import block_sum, expm1, sum_before
-from ndf_mi.render.strata import VolumeField, sample_strata
+from ndf_mi.render.ray_samples import VolumeField, sample_rays
 
 
 @dataclass
@@ -48,7 +48,7 @@ def quadrature(
     jitter: mi.Float | None = None,
     window: tuple[int, int] | None = None,
     scale: float = 1.0,
-    hidden: float = 0.0,
+    min_transmittance: float = 0.0,
     geometry: bool = False,
 ) -> Radiance:
     """Renders `volume` along N rays (directions of unit length) with `samples` candidate samples each.
@@ -57,17 +57,15 @@ def quadrature(
     them reach the network, is detached.
 
     Args:
-        jitter: N numbers in [0, 1) a stratum looked at, as in :func:`ndf_mi.render.strata.sample_strata`; None for the strata's middles.
-        window: first of the samples and how many of them to look at: the part of the ray that those strata cover. None for all.
+        jitter, window, min_transmittance: as in :func:`ndf_mi.render.ray_samples.sample_rays`.
         scale: factor on the density.
-        hidden: transmittance below which samples are left out, as in :func:`ndf_mi.render.strata.sample_strata`; 0 for never.
         geometry: also return (u, v, l) and normals.
     """
     rays = max(dr.width(ray.o), dr.width(ray.d))
     ray = mi.Ray3f(ray)
     ray.o = ray.o + dr.zeros(mi.Vector3f, rays)
     ray.d = ray.d + dr.zeros(mi.Vector3f, rays)
-    strata = sample_strata(volume, ray, samples, jitter=jitter, window=window, hidden=hidden)
+    strata = sample_rays(volume, ray, samples, jitter=jitter, window=window, min_transmittance=min_transmittance)
     sample = strata.sample
     tau = strata.optical_depth(scale)
     weight = dr.exp(-sum_before(tau, strata.count)) * -expm1(-tau)

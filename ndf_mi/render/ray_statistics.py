@@ -11,9 +11,9 @@ import numpy as np
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.numerics import block_sum
+from ndf_mi.render.ray_samples import VolumeField, sample_rays
 from ndf_mi.render.sampling import QUANTUM, box_interval, rounded
 from ndf_mi.render.settings import Setting
-from ndf_mi.render.strata import VolumeField, sample_strata
 
 #: Parts that rays are looked at in: a picture's rounds.
 ROUNDS = 4
@@ -85,7 +85,7 @@ def look(volume: VolumeField, camera: Camera) -> Sight:
     with dr.suspend_grad():
         met = np.flatnonzero(box_interval(volume.bbox, small.rays(mi.Point2f(mi.Float(x), mi.Float(y)) + 0.5))[0].numpy())
         if rays == 0 or not len(met):
-            return Sight(rays, volume.strata, np.zeros((ROUNDS, 0)), np.ones((ROUNDS, 0)))
+            return Sight(rays, volume.sample_factor, np.zeros((ROUNDS, 0)), np.ones((ROUNDS, 0)))
         # The padding's rays end where they start.
         chosen = np.full(rounded(len(met), QUANTUM), met[0])
         chosen[: len(met)] = met
@@ -93,11 +93,11 @@ def look(volume: VolumeField, camera: Camera) -> Sight:
         ray.maxt = mi.Float(np.where(np.arange(len(chosen)) < len(met), np.inf, 0.0))
         shares, before, transmittance = [], [], np.ones(len(met))
         for number in range(ROUNDS):
-            strata = sample_strata(volume, ray, SAMPLES, window=(number * count, count))
+            strata = sample_rays(volume, ray, SAMPLES, window=(number * count, count))
             inside = block_sum(strata.spread(dr.full(mi.Float, 1.0, dr.width(strata.real))), strata.count)
             tau = block_sum(strata.optical_depth(), strata.count)
             dr.eval(inside, tau)
             shares.append(inside.numpy()[: len(met)] / strata.count)
             before.append(transmittance)
             transmittance = transmittance * np.exp(-tau.numpy()[: len(met)].astype(np.float64))
-    return Sight(rays, volume.strata, np.stack(shares), np.stack(before))
+    return Sight(rays, volume.sample_factor, np.stack(shares), np.stack(before))

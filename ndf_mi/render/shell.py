@@ -65,13 +65,11 @@ class Lattice:
         grid: the cells.
         distance: (PARTS·nx, PARTS·ny, PARTS·nz) float32 l in metres, infinite where |l| is beyond the reach.
         places: flat indices, into the above, of the finite ones.
-        triangles: (N,) uint32 closest triangle of each of these.
     """
 
     grid: Grid
     distance: np.ndarray
     places: np.ndarray
-    triangles: np.ndarray
 
     def points(self, places: np.ndarray) -> np.ndarray:
         """(N, 3) float32 positions of flat indices."""
@@ -129,22 +127,21 @@ def lattice(surface: Surface, vertices: mi.Float, band: float, cell: float, grid
             many = f"{cell:g} m, which makes {' × '.join(map(str, grid.shape))} cells"
             raise InputError("cell", many, f"at least {least:.2g} m around this body")
         distance = np.full(shape, np.inf, dtype=np.float32)
-        places, triangles = [], []
+        places = []
         low, step = mi.Point3f(*(float(v) for v in grid.low)), cell / PARTS
         for start in range(0, distance.size, CHUNK):
             index = dr.arange(mi.UInt32, min(CHUNK, distance.size - start)) + dr.opaque(mi.UInt32, start)
-            index = dr.gather(mi.UInt32, index, dr.compress(posed.near(_middle(index, shape, low, step))))
+            index = dr.gather(mi.UInt32, index, dr.compress(posed.may_contain(_middle(index, shape, low, step))))
             if not len(index):
                 continue
             x = _middle(index, shape, low, step)
             found = posed.project(x)
-            dr.eval(found.l, found.triangle, found.valid)
+            dr.eval(found.l, found.valid)
             some = found.valid.numpy()
             where = index.numpy()[some]
             distance.reshape(-1)[where] = found.l.numpy()[some]
             places.append(where)
-            triangles.append(found.triangle.numpy()[some])
-    return Lattice(grid, distance, np.concatenate(places), np.concatenate(triangles))
+    return Lattice(grid, distance, np.concatenate(places))
 
 
 def reduce_parts(array: np.ndarray, combine: np.ufunc) -> np.ndarray:

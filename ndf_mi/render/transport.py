@@ -18,8 +18,8 @@ import drjit as dr
 import mitsuba as mi
 
 from ndf_mi.numerics import block_sum, expm1, sum_before
+from ndf_mi.render.ray_samples import Stratified, VolumeField, sample_rays, scatter
 from ndf_mi.render.sampling import box_interval, pad, rounded
-from ndf_mi.render.strata import Strata, VolumeField, sample_strata, scatter
 
 TILE = 4096
 """Rays integrated at once at most: what bounds the candidates' memory, at about 50 bytes each."""
@@ -59,7 +59,7 @@ class _Medium:
     """One field along N rays: its strata, their optical depths `tau`, the field's optical depth `before` each within its ray, and the
     strata's `colour`, 0 where nothing was evaluated."""
 
-    strata: Strata
+    strata: Stratified
     tau: mi.Float
     before: mi.Float
     colour: list[mi.Float]
@@ -84,7 +84,7 @@ class Transport:
     would have several times as many samples evaluated as there are.
 
     Args:
-        samples: candidate samples a segment and field (times the field's own `strata`).
+        samples: candidate samples a segment and field (times the field's `sample_factor`).
         tile: rays at once at most.
 
     Attributes:
@@ -155,8 +155,8 @@ class Transport:
         """Evaluates a field along rays."""
         volume = performer.volume
         if jitter is not None:
-            jitter = dr.repeat(jitter, self.samples * volume.strata)
-        strata = sample_strata(volume, ray, self.samples, jitter=jitter, active=real)
+            jitter = dr.repeat(jitter, self.samples * volume.sample_factor)
+        strata = sample_rays(volume, ray, self.samples, jitter=jitter, active=real)
         self.evaluated += strata.evaluated
         tau = dr.minimum(strata.optical_depth(performer.scale), OPAQUE)
         before = sum_before(tau, strata.count)

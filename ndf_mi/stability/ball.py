@@ -111,7 +111,7 @@ def ridge(place: tuple[float, float, float] = (0.0, 0.0, 0.0), size: float = 1.0
 
 def _set_weights(run: Run, srgb: float, size: float) -> int:
     field, p = run.model.field, run.model.field.preset
-    weights = field.weights.numpy()
+    weights = run.parameters.weights.numpy()
     whole = p.band + p.band_inside
     low, high = ((size * at + p.band_inside) / whole for at in (LOW, HIGH))
 
@@ -130,5 +130,5 @@ def _set_weights(run: Run, srgb: float, size: float) -> int:
     columns = at.inputs + at.pose
     weights[at.offset : at.offset + at.outputs * columns] = 0
     weights[at.offset + at.outputs * columns : at.offset + at.size] = np.log(srgb / (1 - srgb))
-    field.weights = mi.Float(weights)
+    run.parameters = run.parameters.replace(weights=mi.Float(weights))
     return peak

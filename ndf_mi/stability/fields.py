@@ -11,7 +11,7 @@ import numpy as np
 
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.errors import InputError
-from ndf_mi.field import Field, preset
+from ndf_mi.field import Field, FieldParameters, preset
 from ndf_mi.field.encoding import GridEncoding
 from ndf_mi.field.field import BoundField
 from ndf_mi.render.image import ImageRenderer
@@ -39,7 +39,8 @@ def slope_of(function: Callable[[mi.Float], mi.Float], at: np.ndarray) -> tuple[
       "outputs of 0 and ±1e-38 to ±1e38")
 def activation() -> Iterator[Measured]:
     """Both activations. The density never passes its limit, and the majorant stays 4 % above it."""
-    bounds = {name: Field(preset(name), JOINTS, 1).bind(dr.zeros(mi.Float, 3 * JOINTS)) for name in ("fast", "paper")}
+    bounds = {name: (field := Field(preset(name), JOINTS)).bind(dr.zeros(mi.Float, 3 * JOINTS), field.initial_parameters(1))
+              for name in ("fast", "paper")}
     decades = [0.0, *(sign * 10.0**k for k in range(-38, 39, 2) for sign in (1, -1)), 3.0, 30.0, 100.0, -30.0, -80.0]
     for z in decades:
         at = (z * np.array([1.0, 0.7])).astype(np.float32)
@@ -73,19 +74,18 @@ class Scaled:
 
     def __init__(self) -> None:
         shape = dataclasses.replace(preset("tiny"), encoding="frequency", octaves=3, deformation_scale=0.1, direction="mirrored")
-        self.field = Field(shape, JOINTS, seed=2)
+        self.field = Field(shape, JOINTS)
         rng = np.random.default_rng(3)
         count = 64
         self.u = rng.uniform(0.1, 0.9, (count, 3)).astype(np.float32)
         d, n = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, count, 3)))
         self.d, self.n = d.astype(np.float32), n.astype(np.float32)
         self._pose = rng.normal(0, 0.3, 3 * JOINTS).astype(np.float32)
-        self._base = self.field.weights.numpy().copy()
+        self._base = self.field.initial_parameters(2).weights.numpy().copy()
         # Products start at zero, where nothing would be seen of them.
         for layer in self.field.layers.values():
             self._base[layer.offset + layer.affine : layer.offset + layer.size] = rng.normal(0, 0.1, layer.size - layer.affine)
-        self.field.weights = mi.Float(self._base)
-        truth = Network64(self.field, self._pose)
+        truth = Network64(self.field, self._base, self._pose)
 
         def at(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             sigma, colour = truth(u, self.d.astype(np.float64), self.n.astype(np.float64))
@@ -105,8 +105,7 @@ class Scaled:
             at = self.field.layers[following]
             columns = at.inputs + at.pose
             weights[at.offset : at.offset + at.outputs * columns] *= 2.0**-power
-        self.field.weights = mi.Float(weights)
-        return self.field.bind(mi.Float(self._pose))
+        return self.field.bind(mi.Float(self._pose), FieldParameters(mi.Float(weights)))
 
     def arguments(self) -> tuple[mi.Point3f, mi.Vector3f, mi.Normal3f]:
         """Coordinates, with gradients enabled, directions and normals."""
@@ -159,12 +158,12 @@ def half_precision() -> Iterator[Measured]:
             off = np.inf
         yield Measured(f"2^{power}, {(~kept).sum()} of {len(kept)} told", off)
     with ridge() as ball:
-        whole = ball.run.model.field.weights.numpy()
+        whole = ball.run.parameters.weights.numpy()
         at = ball.run.model.field.layers["density0"]
         for power in (0, 24):
             weights = whole.copy()
             weights[at.offset : at.offset + at.size] *= 2.0**power
-            ball.run.model.field.weights = mi.Float(weights)
+            ball.run.parameters = ball.run.parameters.replace(weights=mi.Float(weights))
             camera = looking(np.array([0.0, 0.1, 1.0]), np.array([0.0, -0.1, -1.0]))
             try:
                 image, single = (ImageRenderer(32)(ball.run.posed(0, networks), camera) for networks in ("half", "batched"))
@@ -241,14 +240,14 @@ def majorants() -> Iterator[Measured]:
     with ridge() as ball:
         model = ball.run.model
         vertices = mi.Float(ball.vertices.ravel())
-        weights = model.field.weights.numpy()
+        weights = ball.run.parameters.weights.numpy()
         shape = model.field.preset
         for decade in (-2, 0, 3, 5):
             for peak in (PEAK, 30.0):
                 limit = 10.0**decade
                 model.field.preset = dataclasses.replace(shape, density_limit=limit, density_gain=limit / 3)
                 weights[ball.peak] = peak
-                model.field.weights = mi.Float(weights)
+                ball.run.parameters = ball.run.parameters.replace(weights=mi.Float(weights))
                 found = Majorants(model, ball.run.posed(0), vertices, 3, 0.05)
                 rng = np.random.default_rng(6)
                 way = rng.normal(size=(2000, 3))

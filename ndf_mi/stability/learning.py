@@ -155,7 +155,7 @@ def learning_rates() -> Iterator[Measured]:
 def weights_of(trainer: Trainer) -> np.ndarray:
     """The networks' weights as they are."""
     trainer.publish()
-    return trainer.run.model.field.weights.numpy()
+    return trainer.run.parameters.weights.numpy()
 
 
 @case("a NaN in one pixel, one origin or one direction of a training's batch", "each in turn", gradient=None,

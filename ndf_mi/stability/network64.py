@@ -20,13 +20,14 @@ class Network64:
 
     Args:
         field: with the encoding `frequency`.
+        weights: the networks', flat.
         pose: (3·J) radians.
     """
 
-    def __init__(self, field: Field, pose: np.ndarray) -> None:
+    def __init__(self, field: Field, weights: np.ndarray, pose: np.ndarray) -> None:
         self._preset = field.preset
         self._layers = field.layers
-        self._weights = field.weights.numpy().astype(np.float64)
+        self._weights = weights.astype(np.float64)
         features = pose.astype(np.float64)[None]
         for i in range(len(field.preset.pose_layers)):
             features = self._relu(f"pose{i}", features)

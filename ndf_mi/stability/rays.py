@@ -28,9 +28,9 @@ def bundle(origin: np.ndarray, direction: np.ndarray) -> mi.Ray3f:
 
 def attached(ball: Ridge) -> tuple[PosedModel, mi.Float]:
     """The ball's field, and its weights, with gradients enabled."""
-    weights = mi.Float(dr.detach(ball.run.model.field.weights))
+    weights = mi.Float(dr.detach(ball.run.parameters.weights))
     dr.enable_grad(weights)
-    ball.run.model.field.weights = weights
+    ball.run.parameters = ball.run.parameters.replace(weights=weights)
     return ball.run.posed(0), weights
 
 

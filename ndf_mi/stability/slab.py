@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ndf_mi.field.sample import FieldSample
+from ndf_mi.field.sample import FieldSample, Located
 
 GREY = 0.7
 
@@ -23,7 +22,7 @@ class Slab:
         length: along z, in metres.
     """
 
-    strata = 1
+    sample_factor = 1
 
     def __init__(self, sigma: np.ndarray, colour: np.ndarray | None = None, length: float = 1.0) -> None:
         self._columns, self._depth = sigma.shape
@@ -41,23 +40,25 @@ class Slab:
         ray.d = ray.d + dr.zeros(mi.Vector3f, self._columns)
         return ray
 
-    def near(self, x: mi.Point3f) -> mi.Bool:
+    def may_contain(self, x: mi.Point3f) -> mi.Bool:
         """Every point may be in the field."""
         return dr.full(mi.Bool, True, dr.width(x))
 
-    def locate(self, x: mi.Point3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """The table's row of each point."""
+    def locate(self, x: mi.Point3f, active: mi.Bool) -> Located:
+        """The table's row of each point, as its triangle."""
         column = mi.UInt32(dr.clip(x.x, 0, self._columns - 1))
-        return column * self._depth + mi.UInt32(dr.clip(x.z * self._per_metre, 0, self._depth - 1)), active
+        located = Located.anywhere(active)
+        located.triangle = column * self._depth + mi.UInt32(dr.clip(x.z * self._per_metre, 0, self._depth - 1))
+        return located
 
-    def density(self, x: mi.Point3f, handle: Any, active: mi.Bool) -> mi.Float:
+    def density(self, x: mi.Point3f, located: Located, active: mi.Bool) -> mi.Float:
         """Density alone, detached."""
-        return dr.detach(dr.gather(mi.Float, self.sigma, handle, active))
+        return dr.detach(dr.gather(mi.Float, self.sigma, located.triangle, active))
 
-    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: Any, active: mi.Bool) -> FieldSample:
+    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool) -> FieldSample:
         """Density and colour by the table; attached to it."""
-        grey = dr.gather(mi.Float, self.colour, handle, active)
-        return FieldSample(dr.gather(mi.Float, self.sigma, handle, active), mi.Color3f(grey), mi.Point3f(x), mi.Normal3f(0, 0, 1))
+        grey = dr.gather(mi.Float, self.colour, located.triangle, active)
+        return FieldSample(dr.gather(mi.Float, self.sigma, located.triangle, active), mi.Color3f(grey), mi.Point3f(x), mi.Normal3f(0, 0, 1))
 
 
 @dataclass(frozen=True)

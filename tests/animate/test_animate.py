@@ -75,7 +75,7 @@ def test_fingerprints_change_with_all_that_is_seen(model_run: Run, tmp_path: Pat
     assert len(set(first)) == 4 and prints() == first
     others = [prints(cameras=(dataclasses.replace(view, fl_x=view.fl_x + 1),) * 4), prints(samples=64), prints(spp=2),
               prints(background=[0, 0, 0]), prints(shape=np.array([0, 0.1], np.float32))]  # fmt: skip
-    model_run.model.field.weights += 1e-3
+    model_run.parameters = model_run.parameters.replace(weights=model_run.parameters.weights + 1e-3)
     others.append(prints())
     for other in others:
         assert not set(other) & set(first)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ndf_mi.errors import InputError
-from ndf_mi.field import PRESETS, Field, Preset, preset
+from ndf_mi.field import PRESETS, Field, FieldParameters, Preset, preset
 
 JOINTS = 24
 
@@ -20,13 +20,17 @@ def inputs(n=200, seed=0):
     return u, d / np.linalg.norm(d, axis=0), rng.normal(0, 0.4, 3 * JOINTS)
 
 
-def evaluate(field, u, d, pose, mode):
-    bound = field.bind(mi.Float(pose.astype(np.float32)))
+def evaluate(field, parameters, u, d, pose, mode):
+    bound = field.bind(mi.Float(pose.astype(np.float32)), parameters)
     n = d[[2, 0, 1]]
     arguments = mi.Point3f(u.astype(np.float32)), mi.Vector3f(d.astype(np.float32)), mi.Normal3f(n.astype(np.float32))
     if mode == "fused":
         bound.pack()
     return getattr(bound, mode)(*arguments)
+
+
+def with_grid_times(parameters, factor):
+    return parameters if parameters.grid is None else parameters.replace(grid=parameters.grid * factor)
 
 
 def gamma(x, octaves):
@@ -77,14 +81,13 @@ def test_paper_has_the_published_number_of_parameters():
 
 @pytest.mark.parametrize("mode", ["batched", "fused"])
 def test_paper_agrees_with_float64(mode):
-    field = Field(preset("paper"), JOINTS, seed=3)
+    field = Field(preset("paper"), JOINTS)
     # Ten times the usual weights in the last density layer, so that densities are far from zero.
-    weights = field.weights.numpy()
+    weights = field.initial_parameters(3).weights.numpy()
     out = field.layers["density_out"]
     weights[out.offset : out.offset + out.size] *= 200
-    field.weights = mi.Float(weights)
     u, d, pose = inputs()
-    sigma, colour = evaluate(field, u, d, pose, mode)
+    sigma, colour = evaluate(field, FieldParameters(mi.Float(weights)), u, d, pose, mode)
     expected_sigma, expected_colour = PaperInNumpy(weights)(u, d, pose, field.preset.density_limit)
     assert expected_sigma.max() > 1
     # The highest octave turns float32's rounding of u (6e-8) into 3e-5 radians.
@@ -97,12 +100,11 @@ def test_batched_and_fused_agree_in_value_and_gradient(name):
     u, d, pose = inputs()
     results = []
     for mode in ("batched", "fused"):
-        field = Field(preset(name), JOINTS, seed=1)
-        if field.grid is not None:
-            field.grid = field.grid * 1e4
-        leaves = [field.weights] + ([field.grid] if field.grid is not None else [])
-        dr.enable_grad(leaves)
-        sigma, colour = evaluate(field, u, d, pose, mode)
+        field = Field(preset(name), JOINTS)
+        parameters = with_grid_times(field.initial_parameters(1), 1e4)
+        dr.enable_grad(parameters)
+        leaves = [leaf for leaf in (parameters.weights, parameters.grid) if leaf is not None]
+        sigma, colour = evaluate(field, parameters, u, d, pose, mode)
         dr.backward(dr.mean(0.01 * sigma + colour.x + 2 * colour.y + 3 * colour.z))
         results.append([sigma.numpy(), colour.numpy(), *[dr.grad(leaf).numpy() for leaf in leaves]])
     for batched, fused in zip(*results, strict=True):
@@ -112,20 +114,19 @@ def test_batched_and_fused_agree_in_value_and_gradient(name):
 
 @pytest.mark.parametrize("name", ["fast", "tiny"])
 def test_gradients_agree_with_finite_differences(name):
-    field = Field(preset(name), JOINTS, seed=2)
+    field = Field(preset(name), JOINTS)
     u, d, pose = inputs(2000)
-    values = {"grid": field.grid.numpy().astype(np.float64) * 3e3, "weights": field.weights.numpy().astype(np.float64)}
+    values = {key: value.astype(np.float64) for key, value in with_grid_times(field.initial_parameters(2), 3e3).arrays().items()}
     for layer in field.layers.values():
         # Products start at zero, through which no gradient would get to the pose's layers.
         values["weights"][layer.offset + layer.affine : layer.offset + layer.size] = np.random.default_rng(6).normal(
             0, 0.2, layer.size - layer.affine)
 
     def evaluate_at(which, change):
-        for key, value in values.items():
-            setattr(field, key, mi.Float((value + (change if key == which else 0)).astype(np.float32)))
-        leaf = getattr(field, which)
+        changed = {key: mi.Float((value + (change if key == which else 0)).astype(np.float32)) for key, value in values.items()}
+        leaf = changed[which]
         dr.enable_grad(leaf)
-        sigma, colour = evaluate(field, u, d, pose, "batched")
+        sigma, colour = evaluate(field, FieldParameters(**changed), u, d, pose, "batched")
         return 0.02 * sigma + colour.x + 2 * colour.y, leaf
 
     for which, scale in (("weights", 1e-4), ("grid", 1e-2)):
@@ -140,17 +141,18 @@ def test_gradients_agree_with_finite_differences(name):
 
 def test_density_stays_below_the_majorant_however_large_the_weights():
     for name in PRESETS:
-        field = Field(preset(name), JOINTS, seed=1)
-        field.weights = field.weights * 50
-        sigma, colour = evaluate(field, *inputs(), "batched")
+        field = Field(preset(name), JOINTS)
+        parameters = field.initial_parameters(1)
+        sigma, colour = evaluate(field, parameters.replace(weights=parameters.weights * 50), *inputs(), "batched")
         assert np.isfinite(sigma.numpy()).all() and np.isfinite(colour.numpy()).all()
         assert sigma.numpy().max() <= field.preset.density_limit < field.majorant
         assert sigma.numpy().min() >= 0
 
 
 def with_pose_only_in(field, network):
-    """Leaves the pose's columns in those layers alone whose names begin so, and makes what they do large enough to be seen."""
-    weights = field.weights.numpy()
+    """Parameters whose pose columns are zero but in the layers whose names begin so, with effects large enough to be seen."""
+    parameters = with_grid_times(field.initial_parameters(1), 1e4)
+    weights = parameters.weights.numpy()
     for name, layer in field.layers.items():
         if layer.pose and not name.startswith(network):
             columns = layer.inputs + layer.pose
@@ -160,9 +162,7 @@ def with_pose_only_in(field, network):
     density, deformation = field.layers["density_out"], field.layers["deform_out"]
     weights[density.offset : density.offset + density.inputs] *= 20
     weights[deformation.offset : deformation.offset + deformation.size] *= 100
-    field.weights = mi.Float(weights)
-    if field.grid is not None:
-        field.grid = field.grid * 1e4
+    return parameters.replace(weights=mi.Float(weights))
 
 
 @pytest.mark.parametrize("mode", ["batched", "fused"])
@@ -176,10 +176,10 @@ def with_pose_only_in(field, network):
 def test_the_pose_reaches_density_deformation_and_colour(name, network, density, colour, mode):
     """Of every network on its own: with its columns of the pose alone, density and colour change with the pose where they should."""
     # The published deformation is a thousandth of the unit cube: made larger, it can be told from rounding.
-    field = Field(dataclasses.replace(preset(name), deformation_scale=0.1), JOINTS, seed=1)
-    with_pose_only_in(field, network)
+    field = Field(dataclasses.replace(preset(name), deformation_scale=0.1), JOINTS)
+    parameters = with_pose_only_in(field, network)
     u, d, pose = inputs()
-    before, after = (evaluate(field, u, d, p, mode) for p in (pose, pose + 0.5))
+    before, after = (evaluate(field, parameters, u, d, p, mode) for p in (pose, pose + 0.5))
     for changes, a, b in zip((density, colour), before, after, strict=True):
         difference = np.abs(a.numpy() - b.numpy()).max() / np.abs(a.numpy()).max()
         assert difference > 1e-4 if changes else difference == 0, (name, network, difference)
@@ -205,7 +205,8 @@ def test_wrong_options_are_named(change, word):
 def test_the_normal_changes_colour_alone_and_only_where_the_preset_says_so():
     u, d, pose = inputs()
     for name, expected in (("fast", True), ("paper", False)):
-        bound = Field(preset(name), JOINTS, seed=1).bind(mi.Float(pose.astype(np.float32)))
+        field = Field(preset(name), JOINTS)
+        bound = field.bind(mi.Float(pose.astype(np.float32)), field.initial_parameters(1))
         arguments = mi.Point3f(u.astype(np.float32)), mi.Vector3f(d.astype(np.float32))
         (sigma, colour), (other_sigma, other_colour) = (bound.batched(*arguments, mi.Normal3f(*n)) for n in ((0, 0, 1), (0, 1, 0)))
         assert (sigma.numpy() == other_sigma.numpy()).all()
@@ -215,8 +216,8 @@ def test_the_normal_changes_colour_alone_and_only_where_the_preset_says_so():
 def test_the_direction_changes_colour_alone_and_only_where_the_preset_says_so():
     u, d, pose = inputs()
     for octaves in (-1, 0, 2):
-        field = Field(dataclasses.replace(preset("tiny"), direction_octaves=octaves, normal_octaves=-1), JOINTS, 3)
-        there, back = (evaluate(field, u, sign * d, pose, "batched") for sign in (1, -1))
+        field = Field(dataclasses.replace(preset("tiny"), direction_octaves=octaves, normal_octaves=-1), JOINTS)
+        there, back = (evaluate(field, field.initial_parameters(3), u, sign * d, pose, "batched") for sign in (1, -1))
         assert dr.all(there[0] == back[0])
         assert (np.abs(np.array(there[1]) - np.array(back[1])).max() > 1e-4) == (octaves >= 0)
 
@@ -226,8 +227,8 @@ def test_the_mirrored_direction_is_what_highlights_follow():
     u, d, pose = inputs()
     colours = {}
     for kind in ("mirrored", "view"):
-        field = Field(dataclasses.replace(preset("tiny"), direction=kind, normal_octaves=-1), JOINTS, 3)
-        bound = field.bind(mi.Float(pose.astype(np.float32)))
+        field = Field(dataclasses.replace(preset("tiny"), direction=kind, normal_octaves=-1), JOINTS)
+        bound = field.bind(mi.Float(pose.astype(np.float32)), field.initial_parameters(3))
         found = []
         for normal in ((0.0, 0.0, 1.0), (0.6, 0.0, -0.8)):
             n = np.array(normal)[:, None]
@@ -242,10 +243,10 @@ def test_the_mirrored_direction_is_what_highlights_follow():
 def test_the_pose_mixes_matrices(mode):
     """A field at a pose is one without products whose matrices are W + Σ_k f_k·W_k, the features f from numpy."""
     shape = dataclasses.replace(preset("tiny"), density_skip=0)
-    field, plain = Field(shape, JOINTS, 3), Field(dataclasses.replace(shape, pose_products=False), JOINTS, 3)
-    field.grid = plain.grid = field.grid * 1e4
+    field, plain = Field(shape, JOINTS), Field(dataclasses.replace(shape, pose_products=False), JOINTS)
+    parameters = with_grid_times(field.initial_parameters(3), 1e4)
     u, d, pose = inputs()
-    weights = field.weights.numpy().copy()
+    weights = parameters.weights.numpy().copy()
     rng = np.random.default_rng(7)
     features = pose.astype(np.float64)
     for i in range(len(shape.pose_layers)):
@@ -254,7 +255,7 @@ def test_the_pose_mixes_matrices(mode):
         count = layer.outputs * layer.inputs
         features = np.maximum(part[:count].reshape(layer.outputs, layer.inputs) @ features + part[count:], 0)
     assert (features > 0).sum() >= 2
-    expected = plain.weights.numpy().copy()
+    expected = plain.initial_parameters(3).weights.numpy().copy()
     for name, layer in field.layers.items():
         other = plain.layers[name]
         part = weights[layer.offset : layer.offset + layer.affine].copy()
@@ -264,9 +265,10 @@ def test_the_pose_mixes_matrices(mode):
             matrix = part[: layer.outputs * (layer.inputs + layer.pose)].reshape(layer.outputs, -1)
             matrix[:, : layer.inputs] += (mixed @ features).astype(np.float32)
         expected[other.offset : other.offset + other.size] = part
-    before = evaluate(field, u, d, pose, mode)
-    field.weights, plain.weights = mi.Float(weights), mi.Float(expected)
-    for ours, theirs, unmixed in zip(evaluate(field, u, d, pose, mode), evaluate(plain, u, d, pose, mode), before, strict=True):
+    before = evaluate(field, parameters, u, d, pose, mode)
+    mixed = evaluate(field, parameters.replace(weights=mi.Float(weights)), u, d, pose, mode)
+    by_hand = evaluate(plain, parameters.replace(weights=mi.Float(expected)), u, d, pose, mode)
+    for ours, theirs, unmixed in zip(mixed, by_hand, before, strict=True):
         ours, theirs, unmixed = ours.numpy(), theirs.numpy(), unmixed.numpy()
         np.testing.assert_allclose(ours, theirs, atol=1e-5 * np.abs(theirs).max())
         assert np.abs(ours - unmixed).max() > 1e-2 * np.abs(theirs).max()

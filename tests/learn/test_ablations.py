@@ -22,13 +22,13 @@ def test_an_ablation_trains_and_reads_back(name, capture, tmp_path):
     assert math.isfinite(trainer.progress.error)
     loaded = Run.load(tmp_path / "run")
     assert loaded.model.field.preset == options
-    np.testing.assert_array_equal(loaded.model.field.weights.numpy(), trainer.run.model.field.weights.numpy())
+    np.testing.assert_array_equal(loaded.parameters.weights.numpy(), trainer.run.parameters.weights.numpy())
     assert resume(tmp_path / "run", capture).progress.step == 12
     x = mi.Point3f(loaded.poses.vertices[0, :50].T)
     d = mi.Vector3f(0, 0, 1) + 0 * mi.Vector3f(x)
     posed = loaded.posed(int(loaded.poses.frames[0]))
-    handle, inside = posed.locate(x, mi.Bool(True))
-    assert inside.numpy().any() and np.isfinite(posed.evaluate(x, d, handle, inside).sigma.numpy()).all()
+    located = posed.locate(x, mi.Bool(True))
+    assert located.valid.numpy().any() and np.isfinite(posed.evaluate(x, d, located, mi.Bool(True)).sigma.numpy()).all()
 
 
 def test_each_is_a_change():

@@ -156,7 +156,7 @@ def test_parts_left_out_have_no_weights_and_no_operations() -> None:
                     {"normal_octaves": -1}, {"colour_layers": (), "feature_width": 0}):
         full = dataclasses.replace(full, **changes)
         field = Field(full, joints=3)
-        bound = field.bind(mi.Float(np.zeros(9, np.float32)))
+        bound = field.bind(mi.Float(np.zeros(9, np.float32)), field.initial_parameters())
         bound.pack()
         lane = [mi.Float(np.linspace(0, 1, 64, dtype=np.float32) + 0.1 * i) for i in range(9)]
         d, n = dr.normalize(mi.Vector3f(*lane[3:6])), mi.Normal3f(dr.normalize(mi.Vector3f(*lane[6:9])))

@@ -375,7 +375,7 @@ def test_nothing_is_compiled_anew_and_what_misses_is_not_evaluated(constant):
 def test_gradients_agree_with_finite_differences(make_run, key):
     """Through the direct view, a mirror and shadows, along fixed paths."""
     run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16)
-    run.model.field.grid = run.model.field.grid * 5e3
+    run.parameters = run.parameters.replace(grid=run.parameters.grid * 5e3)
     run.save()
     mirror = {"type": "rectangle", "to_world": T().translate([-0.6, 0, 0]).rotate([0, 1, 0], 60).scale(2),
               "bsdf": {"type": "conductor", "material": "none"}}

@@ -77,7 +77,7 @@ def test_quadrature_agrees_with_the_closed_form_of_emission(make_constant_run, s
 
 def test_what_is_hidden_is_left_out_up_to_its_share_of_the_light(make_constant_run):
     scene = scene_of(make_constant_run(60.0), size=24, samples=200, background=0.25)
-    cut = mi.load_dict({"type": "ndf_quadrature", "samples": 200, "hidden": 0.02})
+    cut = mi.load_dict({"type": "ndf_quadrature", "samples": 200, "min_transmittance": 0.02})
     whole, part = mi.render(scene, spp=4, seed=1).numpy(), mi.render(scene, integrator=cut, spp=4, seed=1).numpy()
     assert 0 < np.abs(whole - part).max() < 0.02
 
@@ -86,7 +86,7 @@ def test_what_is_hidden_is_left_out_up_to_its_share_of_the_light(make_constant_r
 def test_scattering_agrees_with_mitsubas_grid_medium(make_run, integrator):
     """The field's density and albedo, baked into a grid, give the same mean light within the noise."""
     run = make_run(density_bias=0.0, density_gain=12.0, density_limit=24.0, grid_finest=16)
-    run.model.field.grid = run.model.field.grid * 2e4
+    run.parameters = run.parameters.replace(grid=run.parameters.grid * 2e4)
     run.save()
     cells, half = 96, RADIUS + BAND + 0.01
     centres = (np.arange(cells) + 0.5) / cells * 2 * half - half
@@ -96,10 +96,10 @@ def test_scattering_agrees_with_mitsubas_grid_medium(make_run, integrator):
     posed.bound.pack()
     # Albedo does depend on the direction; the grid's cannot: take it away by zeroing the direction's columns.
     field = run.model.field
-    weights, layer = field.weights.numpy(), field.layers["colour0"]
+    weights, layer = run.parameters.weights.numpy(), field.layers["colour0"]
     matrix = weights[layer.offset : layer.offset + layer.outputs * (layer.inputs + layer.pose)].reshape(layer.outputs, -1)
     matrix[:, field.preset.feature_width : layer.inputs] = 0
-    field.weights = mi.Float(weights)
+    run.parameters = run.parameters.replace(weights=mi.Float(weights))
     run.save()
     posed = run.posed(0)
     posed.bound.pack()
@@ -190,7 +190,7 @@ def test_fields_weights_are_parameters_and_train(make_run):
 @pytest.mark.parametrize("key", ["weights", "pose", "grid"])
 def test_gradients_of_the_quadrature_agree_with_finite_differences(make_run, key):
     run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16)
-    run.model.field.grid = run.model.field.grid * 5e3
+    run.parameters = run.parameters.replace(grid=run.parameters.grid * 5e3)
     run.save()
     # Gradients are taken along other rays than the picture: enough of both.
     scene = scene_of(run, size=16, samples=128, background=0.3)
@@ -278,7 +278,7 @@ def test_wrong_parameters_of_the_medium_are_named(make_run, change, words):
 
 
 def test_wrong_parameters_of_the_integrator_are_named(make_run):
-    for change, word in (({"aovs": "albedo"}, "albedo"), ({"samples": 0}, "samples"), ({"hidden": 1.0}, "hidden"),
+    for change, word in (({"aovs": "albedo"}, "albedo"), ({"samples": 0}, "samples"), ({"min_transmittance": 1.0}, "min_transmittance"),
                          ({"sample": 3}, "sample")):
         with pytest.raises(Exception, match=word):
             mi.load_dict({"type": "ndf_quadrature", **change})
@@ -293,7 +293,7 @@ def test_a_picture_in_which_half_precision_overflowed_is_refused(make_run, monke
     monkeypatch.setattr("ndf_mi.variants.cooperative_precisions", lambda: ("half",))
     monkeypatch.setattr("ndf_mi.variants.fused_width", lambda: 0)
     run = make_run()
-    run.model.field.weights = 1e4 * run.model.field.weights
+    run.parameters = run.parameters.replace(weights=1e4 * run.parameters.weights)
     run.save()
     scene = scene_of(run, integrator, size=8, max_depth=3)
     if integrator == "volpath":

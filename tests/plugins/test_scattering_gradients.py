@@ -14,8 +14,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from ndf_mi.field import FieldParameters
 from ndf_mi.learn.scattering_scene import ScatteringScene
-from ndf_mi.model import PosedModel
 from ndf_mi.render.quadrature import quadrature
 from ndf_mi.render.replay import Replay
 
@@ -35,15 +35,14 @@ def uneven(make_constant_run, depth, **changes):
     """A field of about that optical depth, which varies by some ten percent from place to place, as its albedo does."""
     run = make_constant_run(depth / (2 * BAND), srgb=(0.9, 0.7, 0.5), direction_octaves=-1, normal_octaves=-1, **changes)
     field = run.model.field
-    weights, rng = field.weights.numpy(), np.random.default_rng(3)
+    weights, rng = run.parameters.weights.numpy(), np.random.default_rng(3)
     for name, row, size in (("density_out", 0, 0.3), *(("colour_out", row, 0.5) for row in range(3))):
         at = field.layers[name]
         start = at.offset + row * (at.inputs + at.pose)
         # Relative to the network's output: what it means in density depends on where the activation is.
         weights[start : start + at.inputs] = size * rng.normal(size=at.inputs)
-    field.weights = mi.Float(weights)
-    if field.grid is not None:
-        field.grid = mi.Float(0.5 * rng.normal(size=dr.width(field.grid)).astype(np.float32))
+    grid = mi.Float(0.5 * rng.normal(size=field.grid_size).astype(np.float32)) if field.grid_size else None
+    run.parameters = FieldParameters(mi.Float(weights), grid)
     run.save()
     return run
 
@@ -92,9 +91,8 @@ class OnLattice:
         self.values = {name: mi.Float(value) for name, value in values.items()}
         if wanted:
             dr.enable_grad(self.values)
-        field = self.run.model.field
-        field.weights, field.grid = self.values["weights"], self.values.get("grid", field.grid)
-        self.baked = self.stage.place(PosedModel(self.run.model, self.run.surface(0), self.run.pose_vector(0)), 0, np.full(3, 0.3))
+        posed = self.run.posed(0, parameters=self.run.parameters.replace(**self.values))
+        self.baked = self.stage.place(posed, 0, np.full(3, 0.3))
 
     def gradients(self, names):
         dr.backward(self.baked.pulled(self.stage.gradient()))
@@ -164,11 +162,10 @@ def check(place, values, change, paths, repeats, forward):
 
 def thin_mean(run, values):
     """What `Measured.mean` is to first order in the depth, by quadrature along a lattice of rays."""
-    field = run.model.field
-    field.weights, field.grid = mi.Float(values["weights"]), mi.Float(values["grid"])
+    parameters = FieldParameters(mi.Float(values["weights"]), mi.Float(values["grid"]))
     x, y = ((np.stack(np.meshgrid(*[np.arange(96)] * 2)).reshape(2, -1) + 0.5) / 96 - 0.5) * 0.7
     ray = mi.Ray3f(mi.Point3f(x.astype(np.float32), y.astype(np.float32), 2.0), mi.Vector3f(0.0, 0.0, -1.0))
-    seen = quadrature(run.posed(0), ray, 512)
+    seen = quadrature(run.posed(0, parameters=parameters), ray, 512)
     colour, opacity = np.stack([channel.numpy() for channel in seen.colour]).astype(np.float64), seen.opacity.numpy().astype(np.float64)
     radiance = mean_light()[:, None] * colour + np.array(BEHIND)[:, None] * (1 - opacity)
     return float(np.dot(Measured.WEIGHTS, radiance.mean(1)))

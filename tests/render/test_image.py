@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ndf_mi.errors import InputError
-from ndf_mi.field.sample import FieldSample
+from ndf_mi.field.sample import FieldSample, Located
 from ndf_mi.render.image import ImageRenderer
 
 
@@ -29,20 +29,20 @@ class Parallel:
 class Ball:
     """Constant density inside the unit ball, coloured by position; counts the samples that it is asked for."""
 
-    strata = 1
+    sample_factor = 1
 
     def __init__(self, sigma: float) -> None:
         self.sigma = sigma
         self.asked = 0
         self.bbox = mi.BoundingBox3f(mi.Point3f(-1), mi.Point3f(1))
 
-    def near(self, x):
+    def may_contain(self, x):
         return dr.norm(x) < 1
 
     def locate(self, x, active):
-        return dr.zeros(mi.UInt32, dr.width(x)), active & (dr.norm(x) < 1)
+        return Located.anywhere(active & (dr.norm(x) < 1))
 
-    def evaluate(self, x, d, handle, active):
+    def evaluate(self, x, d, located, active):
         self.asked += int(dr.count(active)[0])
         sigma = mi.Float(self.sigma) + dr.zeros(mi.Float, dr.width(x))
         return FieldSample(sigma, mi.Color3f(0.5 + 0.5 * x.x, 0.5 + 0.5 * x.y, 0.5 + 0.5 * x.z), mi.Point3f(x), mi.Normal3f(x))

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from ndf_mi.field.sample import FieldSample
+from ndf_mi.field.sample import FieldSample, Located
 from ndf_mi.render.quadrature import quadrature
 from ndf_mi.render.sampling import QUANTUM, box_interval, compact, stratified
 
@@ -17,18 +17,18 @@ class Ball:
     """Density `sigma` inside a ball of radius 1 around the origin, coloured by position."""
 
     sigma: mi.Float
-    strata: int = 1
+    sample_factor: int = 1
 
     def __post_init__(self):
         self.bbox = mi.BoundingBox3f(mi.Point3f(-1), mi.Point3f(1))
 
-    def near(self, x):
+    def may_contain(self, x):
         return dr.all(dr.abs(x) < 1)
 
     def locate(self, x, active):
-        return dr.zeros(mi.UInt32, dr.width(x)), active & (dr.norm(x) < 1)
+        return Located.anywhere(active & (dr.norm(x) < 1))
 
-    def evaluate(self, x, d, handle, active):
+    def evaluate(self, x, d, located, active):
         sigma = self.sigma + dr.zeros(mi.Float, dr.width(x))
         return FieldSample(sigma, mi.Color3f(0.25, 0.5, 0.75), mi.Point3f(x), mi.Normal3f(0, 0, 1))
 

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from ndf_mi.field.sample import FieldSample
+from ndf_mi.field.sample import FieldSample, Located
 from ndf_mi.render.quadrature import quadrature
 from ndf_mi.render.transport import Performer, Transport
 from ndf_mi.render.transport_surfaces import next_surface, occluded
@@ -21,19 +21,19 @@ class Ball:
     colour: tuple = (0.25, 0.5, 0.75)
     centre: float = 0.0
     radius: float = 1.0
-    strata: int = 1
+    sample_factor: int = 1
 
     def __post_init__(self):
         middle = mi.Point3f(0, 0, self.centre)
         self.bbox = mi.BoundingBox3f(middle - self.radius, middle + self.radius)
 
-    def near(self, x):
+    def may_contain(self, x):
         return dr.norm(x - mi.Point3f(0, 0, self.centre)) < self.radius
 
     def locate(self, x, active):
-        return dr.zeros(mi.UInt32, dr.width(x)), active & self.near(x)
+        return Located.anywhere(active & self.may_contain(x))
 
-    def evaluate(self, x, d, handle, active):
+    def evaluate(self, x, d, located, active):
         sigma = self.sigma + dr.zeros(mi.Float, dr.width(x))
         return FieldSample(sigma, mi.Color3f(*self.colour), mi.Point3f(x), mi.Normal3f(0, 0, 1))
 
@@ -76,7 +76,7 @@ def test_one_field_is_what_the_quadrature_gives():
     ray, *_ = rays(300, maxt=np.random.default_rng(2).uniform(3, 6, 300))
     offset = mi.Float(np.random.default_rng(3).random(300, dtype=np.float32))
     for jitter in (None, offset):
-        ball = Ball(mi.Float(2.0), strata=2)
+        ball = Ball(mi.Float(2.0), sample_factor=2)
         expected = quadrature(ball, ray, 32, jitter=None if jitter is None else dr.repeat(jitter, 64))
         seen = Transport(32, tile=128)([Performer(ball)], ray, True, jitter)
         np.testing.assert_allclose(colours(seen), np.moveaxis(expected.colour.numpy(), 0, -1), atol=1e-6)

@@ -188,7 +188,7 @@ def test_a_profile_is_kept_and_made_anew_where_it_is_stale(make_run, counted, mo
     get((8, 9)), get((8, 8), True)
     assert len(counted) == 3
 
-    run.model.field.weights = run.model.field.weights + 0.5
+    run.parameters = run.parameters.replace(weights=run.parameters.weights + 0.5)
     get()
     assert len(counted) == 4 and "weights changed" in told[0]
     described = profile.machine.describe()

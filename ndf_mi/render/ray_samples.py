@@ -1,19 +1,19 @@
-"""A field in the strata of rays, evaluated only where it may be anything but empty: what every integration along rays begins with.
+"""Stratified samples of a field along rays, evaluated only where the field may be anything but empty.
 
-Candidates, one a stratum, are thinned by a cheap test; what is left is gathered and located, thinned again to what lies in the field,
-gathered again, and only then evaluated. Where candidates are, and which are evaluated, is detached.
+There is one candidate a stratum. Those that a cheap test leaves are located; those that lie in the field are evaluated. Each time
+the survivors are gathered into shorter arrays. Where candidates lie and which of them are evaluated is detached.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
 
-from ndf_mi.field.sample import FieldSample
+from ndf_mi.field.sample import FieldSample, Located
 from ndf_mi.render.sampling import box_interval, compact, stratified
 
 
@@ -22,35 +22,36 @@ class VolumeField(Protocol):
 
     bbox: mi.BoundingBox3f
 
-    strata: int
+    sample_factor: int
     """Factor on the candidate samples a ray."""
 
-    def near(self, x: mi.Point3f) -> mi.Bool:
-        """False only where the field is empty for certain."""
+    def may_contain(self, x: mi.Point3f) -> mi.Bool:
+        """False only where the field is certainly empty."""
         ...
 
-    def locate(self, x: mi.Point3f, active: mi.Bool) -> tuple[Any, mi.Bool]:
-        """Detached search: a handle of each point (an array to be gathered from), and whether the field is defined there."""
+    def locate(self, x: mi.Point3f, active: mi.Bool) -> Located:
+        """Where points lie relative to the field's surface, by a detached search; `valid` where the field is to be evaluated."""
         ...
 
-    def density(self, x: mi.Point3f, handle: Any, active: mi.Bool) -> mi.Float:
-        """σ at located points in 1/m, times the number of samples that each stands for; detached. Only asked for to find what is hidden."""
+    def density(self, x: mi.Point3f, located: Located, active: mi.Bool) -> mi.Float:
+        """σ at located points in 1/m, zero in inactive lanes; detached. Only used to find out what is behind opaque parts."""
         ...
 
-    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, handle: Any, active: mi.Bool) -> FieldSample:
+    def evaluate(self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool) -> FieldSample:
         """The field at located points; inactive lanes must be finite and are ignored."""
         ...
 
 
 @dataclass
-class Strata:
-    """A field along N rays, `count` strata a ray, the N·count lanes of a ray beside one another in rising t.
+class Stratified:
+    """A field along N rays, `count` strata a ray; the N·count strata of a ray are adjacent and in rising t.
 
     Attributes:
         count: strata a ray.
         near, width: N; where the first stratum begins and how wide each is, in scene units. Both 0 where the field's box is missed.
         t, delta: N·count; the place of the candidate in each stratum, and the stratum's width.
         sample: the field where it was evaluated, K lanes with the padding; attached to the rays.
+        weight: K; how many samples each of these stands for.
         index, real: K; the stratum of each of these lanes, and whether it is one or padding.
         evaluated: how many are real.
     """
@@ -61,6 +62,7 @@ class Strata:
     t: mi.Float
     delta: mi.Float
     sample: FieldSample
+    weight: mi.Float
     index: mi.UInt32
     real: mi.Bool
     evaluated: int
@@ -71,13 +73,13 @@ class Strata:
 
     def optical_depth(self, scale: float = 1.0) -> mi.Float:
         """τ_i = σ_i δ_i of each stratum; `scale` is a factor on the density."""
-        sigma = self.sample.sigma if self.sample.weight is None else self.sample.sigma * self.sample.weight
+        sigma = self.sample.sigma * self.weight
         if scale != 1.0:
             sigma = sigma * dr.opaque(mi.Float, scale)
         return self.spread(sigma) * self.delta
 
 
-def sample_strata(
+def sample_rays(
     volume: VolumeField,
     ray: mi.Ray3f,
     samples: int,
@@ -85,21 +87,21 @@ def sample_strata(
     jitter: mi.Float | None = None,
     window: tuple[int, int] | None = None,
     active: mi.Bool | bool = True,
-    hidden: float = 0.0,
-) -> Strata:
-    """Evaluates `volume` in equal strata of the rays' way through its box.
+    min_transmittance: float = 0.0,
+) -> Stratified:
+    """Evaluates `volume` in equal strata of the rays' intervals in its box.
 
     Args:
         ray: N rays, directions of unit length, that end at `maxt`.
-        samples: candidates a ray, times the field's own `strata`.
-        jitter: N numbers in [0, 1) a stratum looked at, where in it the candidate lies, a ray's beside one another; None for the middles.
-        window: first of the samples and how many of them to look at: the part of the ray that those strata cover. None for all.
+        samples: candidates a ray, times the field's `sample_factor`.
+        jitter: N numbers in [0, 1) a stratum, a ray's adjacent: where in its stratum the candidate lies; None for the middles.
+        window: the first sample and the number of samples to take, for the part of the ray that their strata cover; None for all.
         active: N; the others count as missing the box.
-        hidden: samples that less than this share of the light gets to, past those before, are left out: for where an evaluation is much
-            dearer than one of the densities alone, which this costs. 0 for none.
+        min_transmittance: samples whose transmittance is below this are skipped. Their transmittance follows from the densities alone,
+            evaluated once more for it, which pays where an evaluation costs much more. 0 skips none.
     """
     first, count = window or (0, samples)
-    first, count, samples = first * volume.strata, count * volume.strata, samples * volume.strata
+    first, count, samples = (n * volume.sample_factor for n in (first, count, samples))
     rays = dr.width(ray.d)
 
     def at(lane: mi.UInt32, t: mi.Float) -> tuple[mi.Point3f, mi.Vector3f]:
@@ -117,27 +119,31 @@ def sample_strata(
             far = dr.fma(step, count, near)
         t, delta = stratified(near, far, count, jitter)
         lane = dr.arange(mi.UInt32, rays * count)
-        candidate = dr.gather(mi.Bool, hit, lane // count) & volume.near(at(lane, t)[0])
+        candidate = dr.gather(mi.Bool, hit, lane // count) & volume.may_contain(at(lane, t)[0])
         width = (far - near) / count
         dr.eval(candidate, t, delta, near, width)
-        chosen, real, _ = compact(candidate)
-        handle, inside = volume.locate(at(chosen, dr.gather(mi.Float, t, chosen))[0], real)
-        inside &= real
-        dr.eval(handle, inside)
-        second, real, evaluated = compact(inside)
-        index = dr.gather(mi.UInt32, chosen, second)
-        handle = dr.gather(type(handle), handle, second)
-        dr.eval(index, handle, real)
-        if hidden > 0:
-            sigma = volume.density(at(index, dr.gather(mi.Float, t, index))[0], handle, real)
+        index, real, _ = compact(candidate)
+        located = volume.locate(at(index, dr.gather(mi.Float, t, index))[0], real)
+        located.valid &= real
+        dr.eval(located)
+        index, located, real, evaluated = _thinned(index, located, located.valid)
+        if min_transmittance > 0:
+            sigma = volume.density(at(index, dr.gather(mi.Float, t, index))[0], located, real) * located.weight
             before = dr.block_prefix_sum(scatter(sigma, index, real, rays * count) * delta, count, exclusive=True)
-            third, real, evaluated = compact(real & (dr.gather(mi.Float, before, index, real) < -math.log(hidden)))
-            index = dr.gather(mi.UInt32, index, third)
-            handle = dr.gather(type(handle), handle, third)
-            dr.eval(index, handle)
+            seen = real & (dr.gather(mi.Float, before, index, real) < -math.log(min_transmittance))
+            index, located, real, evaluated = _thinned(index, located, seen)
 
     x, d = at(index, dr.gather(mi.Float, t, index))
-    return Strata(count, near, width, t, delta, volume.evaluate(x, d, handle, real), index, real, evaluated)
+    sample = volume.evaluate(x, d, located, real)
+    return Stratified(count, near, width, t, delta, sample, located.weight, index, real, evaluated)
+
+
+def _thinned(index: mi.UInt32, located: Located, keep: mi.Bool) -> tuple[mi.UInt32, Located, mi.Bool, int]:
+    """The lanes to keep, padded as by :func:`compact`: their strata, where they lie, which are real and how many these are."""
+    lane, real, count = compact(keep)
+    index, located = dr.gather(mi.UInt32, index, lane), dr.gather(Located, located, lane)
+    dr.eval(index, located, real)
+    return index, located, real, count
 
 
 def scatter(value: mi.Float, index: mi.UInt32, active: mi.Bool, width: int) -> mi.Float:
