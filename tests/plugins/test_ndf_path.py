@@ -107,7 +107,8 @@ def assert_close(seen, expected, mean=3e-3, most=0.02):
 def test_without_a_performer_it_is_mitsubas_path(depth, hide):
     """To rounding: the same numbers are drawn for the same decisions."""
     scene = mi.cornell_box()
-    scene["sensor"]["film"] |= {"width": 32, "height": 32}
+    # With a box filter a path reaches one pixel alone, so that differing paths can be counted.
+    scene["sensor"]["film"] |= {"width": 32, "height": 32, "rfilter": {"type": "box"}}
     scene["small-box"]["bsdf"] = {"type": "dielectric"}
     scene["large-box"]["bsdf"] = {"type": "roughconductor"}
     scene["back"] = {"type": "sphere", "radius": 0.2}
@@ -122,9 +123,9 @@ def test_without_a_performer_it_is_mitsubas_path(depth, hide):
     integrators = [{"type": name, "max_depth": depth, "hide_emitters": hide} for name in ("path", "ndf_path")]
     images = [mi.render(mi.load_dict({**scene, "integrator": integrator}), spp=16, seed=3).numpy() for integrator in integrators]
     assert images[0].max() > 0.1
-    # A direction that rounding turns may take another branch.
-    different = np.abs(images[0] - images[1]) > 1e-3
-    assert different.mean() < 2e-3 and abs(images[0].mean() - images[1].mean()) < 1e-3 * images[0].mean()
+    # Rounding may send a path along another branch: how often depends on the processor.
+    different = np.any(np.abs(images[0] - images[1]) > 1e-3, axis=-1)
+    assert different.sum() <= 4 and abs(images[0].mean() - images[1].mean()) < 1e-3 * images[0].mean()
 
 
 def test_hidden_emitters_are_gone_and_performers_before_them_are_not(constant):
