@@ -26,6 +26,7 @@ PROBE_SECONDS = 120
 EXTRAS = {
     "atlas": "to flatten a body that comes without texture coordinates into one chart",
     "report": "for comparisons and their reports",
+    "stability": "for `ndf-mi stability`",
     "tensorboard": "for a training's TensorBoard events",
     "video": "to write videos",
 }

@@ -16,6 +16,7 @@ from scipy.sparse import csgraph
 
 from ndf_mi.body import atlas_mesh as mesh
 from ndf_mi.body.atlas_flatten import harmonic_disk
+from ndf_mi.body.mesh import vertex_normals
 
 SQUEEZED = 1e-4
 """Share of its area below which a harmonic map onto the disk squeezes a vertex so much that the seam must reach there.
@@ -216,12 +217,3 @@ def openness(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
         count = len(points)
         seen += (normals @ towards > 0) & (depth[:count] > nearest[at[:count]] - cell)
     return seen / _DIRECTIONS
-
-
-def vertex_normals(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals, (V, 3), of the triangles around each vertex by area; zero where they cancel out."""
-    a, b, c = np.moveaxis(points[faces], 1, 0)
-    doubled = np.cross(b - a, c - a)
-    sums = np.stack([np.bincount(faces.ravel(), np.repeat(doubled[:, i], 3), len(points)) for i in range(3)], axis=1)
-    length = np.linalg.norm(sums, axis=1, keepdims=True)
-    return np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)

@@ -9,9 +9,9 @@ import mitsuba as mi
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion
 
+from ndf_mi.body.mesh import vertex_normals
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
-from ndf_mi.capture.synthesise.surface import vertex_normals
 from ndf_mi.errors import InputError
 from ndf_mi.mitsuba_mesh import make_mesh, set_vertices
 

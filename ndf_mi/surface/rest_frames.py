@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ndf_mi.body.mesh import vertex_normals
 from ndf_mi.body.skinning import joint_transforms
 from ndf_mi.capture.capture import Capture
 
@@ -58,7 +59,7 @@ class RestFrames:
 
     def _tangent_frames(self, vertices: np.ndarray) -> np.ndarray:
         """(V, 3, 3), columns tangent, bitangent, normal; orthonormal."""
-        normal = _unit(_vertex_normals(vertices, self._body.faces), np.array([0.0, 0.0, 1.0]))
+        normal = _unit(vertex_normals(vertices, self._body.faces), np.array([0.0, 0.0, 1.0]))
         edge = vertices[self._neighbour] - vertices
         across = np.eye(3)[np.abs(normal).argmin(axis=1)]
         tangent = _unit(_tangential(edge, normal), _unit(_tangential(across, normal), across))
@@ -70,13 +71,6 @@ def _a_neighbour(faces: np.ndarray, count: int) -> np.ndarray:
     neighbour = np.arange(count)
     neighbour[faces.ravel()] = faces[:, [1, 2, 0]].ravel()
     return neighbour
-
-
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) sums of the triangles' normals, by area."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    normal = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    return np.stack([np.bincount(faces.ravel(), normal[:, axis], minlength=len(vertices)) for axis in range(3)], axis=1)
 
 
 def _tangential(vectors: np.ndarray, normal: np.ndarray) -> np.ndarray:

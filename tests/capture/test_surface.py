@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from ndf_mi.capture.synthesise.surface import averaging, clip, loop_subdivision, rim_distance, vertex_normals
+from ndf_mi.capture.synthesise.surface import averaging, clip, loop_subdivision, rim_distance
 
 
 def square(side: int = 9) -> tuple[np.ndarray, np.ndarray]:
@@ -60,9 +60,3 @@ def test_averaging_leaves_linear_fields_alone_inside_a_regular_grid() -> None:
     np.testing.assert_allclose(moved[inner], vertices[inner], atol=1e-12)
     lone = averaging(faces, len(vertices) + 1)
     np.testing.assert_allclose(np.asarray(lone.sum(axis=1)).ravel(), 1)
-
-
-def test_normals_of_a_ball_point_away_from_its_centre() -> None:
-    ball = trimesh.creation.icosphere(3)
-    normals = vertex_normals(np.asarray(ball.vertices), np.asarray(ball.faces))
-    assert np.sum(normals * ball.vertices, axis=1).min() > 0.999

@@ -9,7 +9,8 @@ import numpy as np
 
 from ndf_mi.body.anny import Garment
 from ndf_mi.body.body import Body
-from ndf_mi.capture.synthesise.surface import averaging, clip, loop_subdivision, vertex_normals
+from ndf_mi.body.mesh import vertex_normals
+from ndf_mi.capture.synthesise.surface import averaging, clip, loop_subdivision
 
 if TYPE_CHECKING:
     from ndf_mi.capture.synthesise.wrinkles import Folds

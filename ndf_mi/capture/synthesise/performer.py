@@ -8,10 +8,11 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ndf_mi.body.body import Body
+from ndf_mi.body.mesh import vertex_normals
 from ndf_mi.body.skinning import SkinnedVertices, joint_transforms
 from ndf_mi.capture.synthesise.layers import Layer
 from ndf_mi.capture.synthesise.look import Look
-from ndf_mi.capture.synthesise.surface import averaging, vertex_normals
+from ndf_mi.capture.synthesise.surface import averaging
 from ndf_mi.capture.synthesise.wardrobe import dress
 from ndf_mi.capture.synthesise.wrinkles import Folds
 

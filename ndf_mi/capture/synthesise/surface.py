@@ -1,4 +1,4 @@
-"""Operations on triangle meshes that are linear in the vertices: subdivision, clipping, smoothing; and normals."""
+"""Operations on triangle meshes that are linear in the vertices: subdivision, clipping and smoothing."""
 
 from __future__ import annotations
 
@@ -106,14 +106,3 @@ def averaging(faces: np.ndarray, count: int) -> sparse.csr_matrix:
     share = np.where(valence > 0, 0.5 / np.maximum(valence, 1), 0)
     neighbours = sparse.csr_matrix((share[both[:, 0]], (both[:, 0], both[:, 1])), shape=(count, count))
     return (neighbours + sparse.diags(np.where(valence > 0, 0.5, 1.0))).tocsr()
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) unit normals, weighted by the areas of the triangles around; zero where there is none."""
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.stack(
-        [np.bincount(faces.ravel(), np.repeat(normals[:, i], 3), minlength=len(vertices)) for i in range(3)], axis=1
-    )
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return total / np.where(length > 0, length, 1)
