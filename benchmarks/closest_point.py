@@ -34,7 +34,7 @@ from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
 from ndf_mi.body.anny import load_anny  # noqa: E402
-from ndf_mi.projection import Surface  # noqa: E402
+from ndf_mi.projection import PosedSurface, Surface  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def main(options: Options) -> None:
         tree.init(vertices, faces)
         surface = Surface(faces, np.zeros((1, 2)), np.zeros_like(faces), vertices)
         flat = mi.Float(vertices.astype(np.float32).ravel())
-        posed = surface.pose(flat, options.band)
+        posed = PosedSurface(surface, flat, options.band)
         box = np.stack([vertices.min(0), vertices.max(0)])
         for kind, make in (("band", band_points), ("rays", ray_points)):
             x = make(scene, box, options)
@@ -148,7 +148,7 @@ def main(options: Options) -> None:
                 "project": lambda posed=posed, query=query: (dr.eval(posed.project(query)), dr.sync_thread()),
                 "Open3D": lambda scene=scene, tensor=tensor: scene.compute_closest_points(tensor),
                 "libigl": lambda tree=tree, v=vertices, f=faces, p=few64: tree.squared_distance(v, f, p),
-                "pose": lambda surface=surface, flat=flat: (surface.pose(flat, options.band), dr.sync_thread()),
+                "pose": lambda surface=surface, flat=flat: (PosedSurface(surface, flat, options.band), dr.sync_thread()),
             }
             times: dict[str, list[float]] = {key: [] for key in works}
             for _ in range(options.repeats + 1):

@@ -34,6 +34,7 @@ import trimesh
 import tyro
 
 from ndf_mi import variants
+from ndf_mi.projection import PosedSurface
 
 variants.use()
 
@@ -165,7 +166,7 @@ def draw(run: Run, camera: Camera, setting: Setting) -> None:
 
 def pose(run: Run, vertices: mi.Float) -> None:
     """The body at a pose, with all that searches need."""
-    surface = run.model.surface.pose(vertices, run.model.band)
+    surface = PosedSurface(run.model.surface, vertices, run.model.band)
     dr.eval(surface.bbox.min, surface.closest(mi.Point3f(0.0, 0.0, 0.0), mi.Bool(True)))
 
 

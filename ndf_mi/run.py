@@ -128,7 +128,7 @@ class Run:
             self._surfaces.move_to_end(row)
         else:
             vertices = mi.Float(self.poses.vertices[row].ravel())
-            self._surfaces[row] = self.model.surface.pose(vertices, self.model.band)
+            self._surfaces[row] = PosedSurface(self.model.surface, vertices, self.model.band)
             if len(self._surfaces) > _CACHED_POSES:
                 self._surfaces.popitem(last=False)
         return self._surfaces[row]
@@ -155,7 +155,7 @@ class Run:
             pose: (J, 3) axis-angles of the joints relative to their parents, in radians, the root's zero.
             networks: as in :class:`PosedModel`.
         """
-        surface = self.model.surface.pose(mi.Float(np.ascontiguousarray(vertices, np.float32).ravel()), self.model.band)
+        surface = PosedSurface(self.model.surface, mi.Float(np.ascontiguousarray(vertices, np.float32).ravel()), self.model.band)
         pose_vector = mi.Float(np.ascontiguousarray(pose, np.float32).ravel())
         return PosedModel(self.model, self.parameters, surface, pose_vector, networks=networks)
 

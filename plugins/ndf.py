@@ -13,6 +13,7 @@ import numpy as np
 from ndf_mi.errors import InputError
 from ndf_mi.field import FieldParameters
 from ndf_mi.model import PosedModel
+from ndf_mi.projection import PosedSurface
 from ndf_mi.render import colours
 from ndf_mi.render.blocks import Blocks
 from ndf_mi.render.nested import Majorants
@@ -140,7 +141,7 @@ def register() -> None:
             self.pose = self.run.pose_vector(self.frame)
             # A literal would be compiled into every kernel, and again at each new value.
             dr.make_opaque(self.weights, self.grid, self.vertices, self.pose)
-            self._surface = self.run.model.surface.pose(self.vertices, self.run.model.band)
+            self._surface = PosedSurface(self.run.model.surface, self.vertices, self.run.model.band)
             self._nested: Majorants | None = None
             self._told: set[str] = set()
             self._bind()
@@ -172,7 +173,7 @@ def register() -> None:
         def parameters_changed(self, keys: list[str]) -> None:
             moved = not keys or "vertices" in keys
             if moved:
-                self._surface = self.run.model.surface.pose(self.vertices, self.run.model.band)
+                self._surface = PosedSurface(self.run.model.surface, self.vertices, self.run.model.band)
             self._bind()
             if self._nested is not None and (not keys or not _PARAMETERS.isdisjoint(keys)):
                 self._follow(moved)

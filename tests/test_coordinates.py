@@ -11,7 +11,7 @@ from conftest import RADIUS, ball
 from ndf_mi.coordinates import coordinates
 from ndf_mi.errors import InputError
 from ndf_mi.field import PRESETS, preset
-from ndf_mi.projection import Surface
+from ndf_mi.projection import PosedSurface, Surface
 
 TINY = dataclasses.replace(preset("tiny"), band=0.08, band_inside=0.04)
 
@@ -26,7 +26,7 @@ def around_the_ball(changes, n=500, frame=2):
     centre = poses.translation[frame].astype(np.float64)
     x = centre + direction * (RADIUS + distance)[:, None]
     changed = dataclasses.replace(TINY, **changes)
-    surface = Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0]).pose(mi.Float(poses.vertices[frame].ravel()), 0.08)
+    surface = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0]), mi.Float(poses.vertices[frame].ravel()), 0.08)
     points = mi.Point3f(x.T.astype(np.float32))
     found = surface.project(points)
     values = coordinates(changed, body, poses)(points, found, found.valid)
@@ -64,7 +64,7 @@ def test_the_world_is_one_cube_around_all_poses():
 @pytest.mark.parametrize("kind", ["texel", "surface", "world"])
 def test_every_kind_is_attached_to_the_point_and_finite_where_masked(kind):
     body, poses = ball()
-    surface = Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0]).pose(mi.Float(poses.vertices[0].ravel()), 0.08)
+    surface = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0]), mi.Float(poses.vertices[0].ravel()), 0.08)
     x = mi.Point3f([0.1, 0.2, np.nan], [0.2, -0.1, np.nan], [0.25, 0.24, np.nan])
     dr.enable_grad(x)
     found = surface.project(x, mi.Bool([True, True, False]))

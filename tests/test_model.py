@@ -8,6 +8,7 @@ import pytest
 from ndf_mi import variants
 from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel, networks_here
+from ndf_mi.projection import PosedSurface
 from ndf_mi.render.quadrature import quadrature
 
 
@@ -36,7 +37,7 @@ def test_gradients_reach_the_vertices(run, trial):
     def render(vertices):
         flat = mi.Float(vertices.astype(np.float32).ravel())
         dr.enable_grad(flat)
-        surface = run.model.surface.pose(flat, run.model.band)
+        surface = PosedSurface(run.model.surface, flat, run.model.band)
         seen = quadrature(PosedModel(run.model, run.parameters, surface, run.pose_vector(0)), ray, 1024)
         return seen.colour.x + seen.colour.y + 0.3 * seen.opacity, flat
 

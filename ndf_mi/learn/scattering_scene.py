@@ -14,6 +14,7 @@ from ndf_mi.capture.camera import Camera
 from ndf_mi.errors import InputError
 from ndf_mi.mitsuba_mesh import make_mesh, set_faces, set_vertices
 from ndf_mi.model import PosedModel
+from ndf_mi.projection import PosedSurface
 from ndf_mi.render.bake import Baked, bake
 from ndf_mi.render.shell import band_shell
 from ndf_mi.run import Run
@@ -103,7 +104,7 @@ def expect_outside(run: Run, camera: Camera, frame: int, cell: float = SHELL_CEL
     if (position < vertices.min(0) - reach).any() or (position > vertices.max(0) + reach).any():
         return
     with dr.suspend_grad():
-        found = run.model.surface.pose(mi.Float(vertices.ravel()), reach).project(mi.Point3f(position.tolist()))
+        found = PosedSurface(run.model.surface, mi.Float(vertices.ravel()), reach).project(mi.Point3f(position.tolist()))
         if not found.valid[0]:
             return
     raise InputError(f"camera {camera.name!r}, frame {frame}", f"a place {100 * found.l[0]:.1f} cm off the body, inside the performer's "

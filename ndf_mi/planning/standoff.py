@@ -10,7 +10,7 @@ import numpy as np
 
 from ndf_mi.capture.capture import Capture
 from ndf_mi.planning.observations import View
-from ndf_mi.projection import Surface
+from ndf_mi.projection import PosedSurface, Surface
 
 #: Metres from the body that are looked at; what stands off further counts as this.
 REACH = 0.25
@@ -57,7 +57,7 @@ def standoff(capture: Capture, frames: Sequence[int], views: Sequence[View]) -> 
     total = 0
     contrast = _contrast(capture, views)
     for row, frame in enumerate(frames):
-        posed = surface.pose(mi.Float(capture.poses.vertices[capture.poses.index(frame)].ravel()), REACH)
+        posed = PosedSurface(surface, mi.Float(capture.poses.vertices[capture.poses.index(frame)].ravel()), REACH)
         low, high = (np.array(corner, dtype=np.float64).ravel() for corner in (posed.bbox.min, posed.bbox.max))
         for view in (view for view in views if view.frame == row):
             total += int(view.mask.sum())

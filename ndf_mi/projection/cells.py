@@ -1,4 +1,4 @@
-"""A coarse grid over the band's box: which cells the band can touch, and where in the tree a cell's searches begin."""
+"""A coarse grid over the band's box: which cells the band can touch, and where in the tree their searches begin."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ndf_mi.projection.refit import Frame
 from ndf_mi.projection.search import Boxes, closest_pair, pending
 
 BLOCK = 4
-"""Cells along the side of a block. Cells are numbered block by block, so that close numbers are close in space."""
+"""Cells along a block's side. Cells are numbered block by block, so that close numbers are close in space."""
 
 SLACK = 0.2
-"""Cells need not begin at the closest leaf: how much farther, as a fraction, than it is allowed."""
+"""Cells need not begin at the closest leaf; they may begin at one that is farther by this fraction."""
 
 
 class Cells:
     """Cells of a quarter of the band over the box [low, high].
 
-    Every cell that a point of the band can lie in knows a leaf that is almost the closest to its centre, and which parts of the
-    tree can hold a closer one for any point of the cell (:func:`ndf_mi.projection.search.pending`): searches begin with
-    a good bound, and skip what the cell rules out.
+    Every cell that a point of the band can lie in stores a leaf that is almost the closest to its centre, and which
+    parts of the tree can hold a closer one for any point of the cell (:func:`ndf_mi.projection.search.pending`). So
+    searches begin with a good bound and skip what the cell rules out.
 
     Args:
         low, high: (3,) float64, the padded box of the band, metres.
@@ -60,7 +60,7 @@ class Cells:
         dr.eval(self._rank, self._node, self._trail)
 
     def locate(self, x: mi.Point3f) -> tuple[mi.UInt32, mi.Bool]:
-        """The number of the cell of x, below ``count``; and whether there is one, as blocks off the band have none."""
+        """The number of the cell of x, below ``count``, and whether there is one: blocks off the band have none."""
         at = (x - self._low) * self._per_metre
         inside = dr.all((at >= 0) & (at < BLOCK * mi.Vector3f(self._blocks)))
         cell = mi.Point3u(dr.select(inside, at, 0))
@@ -93,7 +93,7 @@ class Cells:
         node: mi.UInt32,
         trail: mi.UInt32,
     ) -> tuple[mi.UInt32, mi.UInt32]:
-        """Where the searches from cubes begin, given in cells: their centres and half their side."""
+        """Where searches from cubes begin; their centres and half their side are given in cells."""
         q = frame.to_units(self._low + centre / self._per_metre)
         reach = half * (1 + 1e-3) / self._per_metre * frame.scale
         corner = math.sqrt(3) * reach

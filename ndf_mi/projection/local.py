@@ -19,7 +19,7 @@ class Local:
         barycentric: weights of the three corners, in [0, 1], attached.
         feature: ``FACE`` … ``CORNER_2``, detached.
         offset: x − p, attached, metres.
-        size2: square of the longer edge at the first corner, detached: what rounding of the offset goes by.
+        size2: square of the longer edge at the first corner, detached; the offset rounds in proportion to it.
     """
 
     barycentric: mi.Point3f
@@ -37,10 +37,11 @@ def closest_on_triangle(x: mi.Point3f, v0: mi.Point3f, v1: mi.Point3f, v2: mi.Po
     """Projects ``x`` onto the triangle (v0, v1, v2).
 
     The Voronoi region of x is found first (Ericson, *Real-Time Collision Detection*, 5.1.5) from detached values; then
-    the weights are written for that region: on the face they come from what the second edge and x have beside the first
-    (Gram and Schmidt: the 2 × 2 normal equations would lose twice as many digits in a thin triangle), on an edge they are
-    a quotient of dot products, at a corner constants. A triangle without area (a sine below 1e-6 at v0) has no
-    face region, an edge without length no inside, so that every value and gradient stays finite.
+    the weights are written for that region. On the face they follow from the parts of the second edge and of x that are
+    orthogonal to the first edge (Gram and Schmidt: the 2 × 2 normal equations would lose twice as many digits in a thin
+    triangle). On an edge they are a quotient of dot products; at a corner they are constants. A triangle without area
+    (a sine below 1e-6 at v0) has no face region, and an edge without length has no interior, so that every value and
+    gradient stays finite.
     """
     e1, e2, q = v1 - v0, v2 - v0, x - v0
     e3 = v2 - v1
@@ -51,8 +52,8 @@ def closest_on_triangle(x: mi.Point3f, v0: mi.Point3f, v1: mi.Point3f, v2: mi.Po
     least = 1e-30
     inverse = 1 / _guarded(a, least)
     r0, share = d1 * inverse, dr.dot(e1, e2) * inverse
-    height, beside = e2 - e1 * share, q - e1 * r0
-    height2, up = dr.squared_norm(height), dr.dot(beside, height)
+    height, rejected = e2 - e1 * share, q - e1 * r0
+    height2, up = dr.squared_norm(height), dr.dot(rejected, height)
 
     with dr.suspend_grad():
         t = up / _guarded(height2, 0)

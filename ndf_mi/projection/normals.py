@@ -1,23 +1,19 @@
-"""Face normals and pseudonormals of a posed mesh, by which the distance gets its sign."""
+"""Face normals and pseudonormals of a posed mesh, which decide the sign of the distance."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 
 from ndf_mi.projection.local import unit
-
-if TYPE_CHECKING:
-    from ndf_mi.projection.surface import Surface
+from ndf_mi.projection.surface import Surface
 
 
 def face_normals(surface: Surface, vertices: mi.Float) -> mi.Float:
     """Flat (3·F) unit normals; zero for a triangle without area."""
     triangle = dr.arange(mi.UInt32, surface.face_count)
     v0, v1, v2 = _corners(surface, vertices, triangle)
-    # scaled first: the square of the area of a millimetre's triangle is close to the least float
+    # Scaled first: the squared area of a triangle of a millimetre is close to the smallest float.
     e1, e2 = v1 - v0, v2 - v0
     longest = dr.maximum(dr.maximum(dr.max(dr.abs(e1)), dr.max(dr.abs(e2))), 1e-20)
     normal = unit(dr.cross(e1 / longest, e2 / longest), mi.Vector3f(0))

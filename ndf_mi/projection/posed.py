@@ -1,9 +1,8 @@
-"""The surface in one pose: boxes, cells and normals made once, then queries without end."""
+"""A surface in one pose: boxes, cells and normals are computed once, then points are projected."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -15,36 +14,33 @@ from ndf_mi.projection.local import CORNER_0, CORNER_1, EDGE_0, EDGE_2, Local, c
 from ndf_mi.projection.normals import face_normals, vertex_normals
 from ndf_mi.projection.refit import Frame, refit
 from ndf_mi.projection.search import closest_pair
-
-if TYPE_CHECKING:
-    from ndf_mi.projection.surface import Surface
-
+from ndf_mi.projection.surface import Surface
 
 SORTED = 16384
-"""Number of queries from which sorting them pays."""
+"""Number of queries from which on sorting them pays."""
 
 _ROUNDING = 1e-6
-"""Distance over the edges' length below which an offset has no direction."""
+"""Below this fraction of the edges' length, rounding hides the direction of an offset."""
 
 
 @dataclass
 class Projection:
-    """P_θ(x) = (u*, v*, l*) and what belongs to it; finite in every lane, and 0 triangles away meaningless if not valid.
+    """P_θ(x) = (u*, v*, l*) and the geometry behind it. Finite in every lane; undefined where `valid` is false.
 
     Attributes:
         uv: texture coordinates of the closest point, attached.
-        l: signed distance, metres, negative inside. ∂l/∂x is the direction of steepest ascent, also on the surface: there
-            the normal, on edges and corners the pseudonormal or that of a face beside; ∂l/∂vertices that of the closest
-            point's own triangle. First derivatives only.
+        l: signed distance, metres, negative inside. ∂l/∂x is the direction of steepest ascent. On the surface itself
+            it is the normal; on edges and corners, the pseudonormal or the normal of an adjacent face. ∂l/∂vertices
+            is that of the closest point's own triangle. First derivatives only.
         triangle: number of the closest triangle; 0 where not valid.
         barycentric: weights of its corners, attached.
         point: the closest point, world, attached.
-        normal: unit, detached; of the face, or the pseudonormal of the edge or corner that the point lies on.
-        valid: |l| <= band, in active lanes.
+        normal: unit, detached; the face's, or the pseudonormal of the edge or corner that the point lies on.
+        valid: whether the lane is active and |l| <= band.
     """
 
     uv: mi.Point2f
-    l: mi.Float  # noqa: E741
+    l: mi.Float
     triangle: mi.UInt32
     barycentric: mi.Point3f
     point: mi.Point3f
@@ -53,16 +49,22 @@ class Projection:
 
 
 class PosedSurface:
-    """A :class:`Surface` in one pose; made by :meth:`Surface.pose`.
+    """A :class:`Surface` in one pose, ready for queries.
+
+    Args:
+        surface: the mesh.
+        vertices: flat (3·V), world, metres; may carry gradients.
+        band: δ > 0, metres: nothing farther from the surface than this is searched.
 
     Attributes:
-        surface: the surface.
-        vertices: flat (3·V), world, as given (attached).
-        band: δ, metres.
-        bbox: world box of every point whose distance is at most the band, a little padded.
+        surface, vertices, band: as given.
+        bbox: world box, slightly padded, of every point whose distance is at most the band.
 
-    All queries work in evaluated code, in symbolic loops and inside plugins' methods: no local memory is used. No size
-    that differs between poses enters a kernel as a constant.
+    Raises:
+        InputError: the number of vertices differs, one is not finite, or the band is not positive.
+
+    All queries work in evaluated code, in symbolic loops and inside plugins' methods, as they use no local memory. No
+    size that differs between poses enters a kernel as a constant.
     """
 
     def __init__(self, surface: Surface, vertices: mi.Float, band: float) -> None:
@@ -80,7 +82,7 @@ class PosedSurface:
                 raise InputError("vertices", "NaN or infinity", "finite coordinates, in metres")
             low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
             pad = self.band + 1e-3 * self.band + 1e-6 * float(np.abs(positions).max())
-            # opaque, or another band would be another kernel
+            # Opaque, or another band would mean another kernel.
             self._delta = dr.opaque(mi.Float, self.band)
             self.bbox = mi.BoundingBox3f(mi.Point3f(*(low - pad).tolist()), mi.Point3f(*(high + pad).tolist()))
             self._frame = Frame(low, high, self.band)
@@ -90,7 +92,7 @@ class PosedSurface:
             self._cells = Cells(low - pad, high + pad, self.band, self._frame, self._boxes)
 
     def may_contain(self, x: mi.Point3f) -> mi.Bool:
-        """False only where |l| > band for certain; reads one cell."""
+        """False only where |l| > band for certain; reads one cell of a grid."""
         with dr.suspend_grad():
             return self._cells.may_contain(mi.Point3f(dr.detach(x)))
 
@@ -114,14 +116,14 @@ class PosedSurface:
         weights = local.barycentric
         with dr.suspend_grad():
             normal, l_value, slope = self._sign(triangle, corner, local, active)
-        # the closest point minimises over its weights, so that their change adds nothing to l's (envelope theorem)
+        # The closest point minimises over its weights, so that their change adds nothing to that of l (envelope theorem).
         fixed = dr.detach(weights)
         towards = (x - v0) * fixed.x + (x - v1) * fixed.y + (x - v2) * fixed.z
-        l = dr.replace_grad(l_value, dr.dot(slope, towards))  # noqa: E741
+        l = dr.replace_grad(l_value, dr.dot(slope, towards))
         uv = mi.Point2f(0)
         for k in range(3):
-            texel = dr.gather(mi.Point2f, surface.corner_uv, 3 * triangle + k, active)
-            uv = uv + mi.Point2f(texel) * weights[k]
+            corner_uv = dr.gather(mi.Point2f, surface.corner_uv, 3 * triangle + k, active)
+            uv = uv + mi.Point2f(corner_uv) * weights[k]
         valid = active & (dr.abs(l_value) <= self._delta)
         return Projection(uv, l, triangle, weights, x - local.offset, mi.Normal3f(normal), valid)
 
@@ -133,7 +135,8 @@ class PosedSurface:
         active: mi.Bool,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Vector3f]:
         """Pseudonormal, signed distance and its gradient (Bærentzen and Aanæs, "Signed distance computation using the
-        angle weighted pseudonormal", 2005). Closer to an edge or a corner than rounding can tell, the gradient is the pseudonormal."""
+        angle weighted pseudonormal", 2005). Where rounding hides the direction to an edge or a corner, the gradient is
+        the pseudonormal."""
         offset, feature = dr.detach(local.offset), local.feature
         own = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, triangle, active))
         on_edge = (feature >= EDGE_0) & (feature <= EDGE_2)
@@ -146,9 +149,9 @@ class PosedSurface:
         normal = dr.select(on_edge, unit(own + other, own), dr.select(on_corner, around, own))
         distance = dr.norm(offset)
         sign = dr.select(dr.dot(offset, normal) < 0, mi.Float(-1), mi.Float(1))
-        # the offset is known to the edges' length times 6e-8; where there is no normal, it is all there is
-        told = (dr.squared_norm(offset) > _ROUNDING**2 * local.size2) | (dr.squared_norm(normal) == 0)
-        slope = dr.select(on_edge | on_corner, dr.select(told, unit(offset, sign * normal) * sign, normal), own)
+        # The offset is known to the edges' length times 6e-8. A triangle without a normal has nothing else.
+        directed = (dr.squared_norm(offset) > _ROUNDING**2 * local.size2) | (dr.squared_norm(normal) == 0)
+        slope = dr.select(on_edge | on_corner, dr.select(directed, unit(offset, sign * normal) * sign, normal), own)
         return normal, sign * distance, slope
 
     def _closest(self, x: mi.Point3f, active: mi.Bool | bool) -> tuple[mi.UInt32, mi.Bool]:
@@ -171,19 +174,19 @@ class PosedSurface:
         return closest_pair(self._boxes, self._frame.to_units(x), bound, node, trail)[1]
 
     def _search_sorted(self, x: mi.Point3f, cell: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """As :meth:`_search`, one cell's queries after the other's: neighbouring lanes then walk the same nodes.
+        """As :meth:`_search`, with the queries sorted by cell, so that neighbouring lanes walk the same nodes.
 
-        A counting sort. Its order within a cell is undefined; results do not depend on it.
+        A counting sort. The order within a cell is undefined; results do not depend on it.
         """
         count = dr.width(x)
         histogram = dr.zeros(mi.UInt32, self._cells.count)
         rank = dr.scatter_inc(histogram, cell, active)
         dr.eval(rank, cell, active, x)
         begin = dr.prefix_sum(histogram)
-        nobody = 0xFFFFFFFF
-        order = dr.full(mi.UInt32, nobody, count)
+        none = 0xFFFFFFFF
+        order = dr.full(mi.UInt32, none, count)
         dr.scatter(order, dr.arange(mi.UInt32, count), dr.gather(mi.UInt32, begin, cell, active) + rank, active)
-        some = order != nobody
+        some = order != none
         found = self._search(dr.gather(mi.Point3f, x, order, some), dr.gather(mi.UInt32, cell, order, some), some)
         result = dr.full(mi.UInt32, 2 * self.surface.leaves, count)
         dr.scatter(result, found, order, some)

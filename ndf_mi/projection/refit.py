@@ -1,40 +1,35 @@
-"""The tree's boxes in one pose, and the units that they are written in."""
+"""The search tree's boxes in one pose, and the units that they are written in."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ndf_mi.projection.search import WORDS, Boxes
-
-if TYPE_CHECKING:
-    from ndf_mi.projection.surface import Surface
-
+from ndf_mi.projection.surface import Surface
 
 UNITS = 65535
 """Units along the longest side of the posed mesh's box."""
 
-
 HEIGHT = 3
-"""Levels of the tree that one kernel does."""
+"""Levels of the tree that one kernel merges."""
 
 
 class Frame:
     """The search's coordinates: relative to the box of the posed mesh, ``UNITS`` along its longest side.
 
-    Boxes then fit 16 bits a bound, rounded outwards; and far from the world's origin no precision is lost.
+    Boxes then fit 16 bits a bound, rounded outwards, and no precision is lost far from the world's origin.
     """
 
     def __init__(self, low: np.ndarray, high: np.ndarray, band: float) -> None:
         side = max(float((high - low).max()), 1e-3 * band)
         self.origin = mi.Point3f(*(dr.opaque(mi.Float, float(c)) for c in low))
-        # a hair less than fits, as the scaling rounds
+        # Slightly less than fits, as the scaling rounds.
         self.scale = dr.opaque(mi.Float, UNITS * (1 - 1e-6) / side)
 
     def to_units(self, x: mi.Point3f) -> mi.Point3f:
+        """World to search coordinates."""
         return mi.Point3f((x - self.origin) * self.scale)
 
 
@@ -66,7 +61,7 @@ def refit(surface: Surface, vertices: mi.Float, frame: Frame) -> Boxes:
 def _merge(nodes: mi.UInt32, words: list[mi.UInt32], first: mi.UInt32, height: int) -> list[mi.UInt32]:
     """Writes the nodes of ``height`` levels, given the boxes of the level below; returns the boxes of the highest.
 
-    Each lane does one node of the highest level, whose first node is ``first``, and what lies below it.
+    Each lane merges one node of the highest level, whose first node is ``first``, and the nodes below it.
     """
     lane = dr.arange(mi.UInt32, dr.width(words[0]) >> height)
     below = [[dr.gather(mi.UInt32, w, (lane << height) + i) for w in words] for i in range(1 << height)]

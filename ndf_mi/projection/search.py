@@ -11,8 +11,8 @@ import drjit as dr
 import mitsuba as mi
 
 WORDS = 8
-"""Words of an internal node: for its two children, three words of (upper bound << 16) | lower bound, one an axis; two
-stay empty, as aligned words are read four at once."""
+"""Words of an internal node: three words of (upper bound << 16) | lower bound, one an axis, for each of its two children.
+Two stay empty, as aligned words are read four at a time."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,7 @@ class Boxes:
 
     @property
     def leaves(self) -> int:
+        """Number of leaves."""
         return 1 << self.depth
 
     def children(self, node: mi.UInt32) -> tuple[list[mi.UInt32], list[mi.UInt32]]:
@@ -77,22 +78,22 @@ def pair_distance2(corners: list[mi.Float], q: mi.Point3f) -> tuple[mi.Float, mi
     qc, cc = dr.dot(q, c), dr.dot(c, c)
     inverse = dr.rcp(larger(cc, 1e-20))
     along = qc * inverse
-    beside = q - c * along
+    rejected = q - c * along
     diagonal = dr.squared_norm(q - c * smaller(larger(along, 0), 1))
 
     def triangle(e: mi.Vector3f) -> mi.Float:
         qe, ee, ec = dr.dot(q, e), dr.dot(e, e), dr.dot(e, c)
         third = _segment(q - e, c - e, qc - qe - ec + ee, cc - 2 * ec + ee)
         border = smaller(smaller(diagonal, _segment(q, e, qe, ee)), third)
-        # what the edge and q have beside the diagonal, as in closest_on_triangle
+        # The parts of the edge and of q orthogonal to the diagonal, as in closest_on_triangle.
         share = ec * inverse
         height = e - c * share
         height2 = dr.squared_norm(height)
-        t = dr.dot(beside, height) * dr.rcp(larger(height2, 1e-20))
+        t = dr.dot(rejected, height) * dr.rcp(larger(height2, 1e-20))
         s = along - share * t
-        # the height of a sliver is rounding; its border alone then gives the distance
+        # The height of a sliver is rounding: its border alone then gives the distance.
         inside = (s >= 0) & (t >= 0) & (s + t <= 1) & (height2 > 1e-12 * ee)
-        return dr.select(inside, dr.squared_norm(beside - height * t), border)
+        return dr.select(inside, dr.squared_norm(rejected - height * t), border)
 
     return triangle(b), triangle(d)
 
@@ -117,22 +118,22 @@ def _pop(node: mi.UInt32, trail: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
 def closest_pair(
     boxes: Boxes, q: mi.Point3f, bound2: mi.Float, node: mi.UInt32, trail: mi.UInt32, slack: float = 0
 ) -> tuple[mi.Float, mi.UInt32]:
-    """Walks the tree from ``node``, nearest child first; pending siblings are bits of one word, as the tree is complete.
+    """Walks the tree from ``node``, the nearer child first. As the tree is complete, pending siblings are bits of a word.
 
     After Áfra and Szirmay-Kalos, "Stackless Multi-BVH Traversal for CPU, MIC and GPU Ray Tracing" (2014), for distances.
 
     Args:
         boxes: the tree.
         q: the queries.
-        bound2: squared distance beyond which nothing is looked for.
-        node: where to begin, 0 in lanes without a query: the root, or a leaf that is likely to be close, which is tested
-            first, to go up from there.
+        bound2: squared distance beyond which nothing is searched.
+        node: where to begin: the root, or a leaf that is likely to be close, which is tested first. 0 in lanes without
+            a query.
         trail: bit i is set where the sibling of ``node >> i`` is to be visited as well.
-        slack: s > 0 allows a triangle up to 1 + s times as far as the closest one; it never misses one within the bound.
+        slack: s > 0 accepts a triangle up to 1 + s times as far as the closest one, but never misses one within the bound.
 
     Returns:
-        the squared distance of the best triangle, or ``bound2`` where there is none within; and its number 2 · leaf +
-        (0 or 1), or 2 · leaves where there is none.
+        the squared distance of the best triangle, or ``bound2`` where none is within; and its number 2 · leaf + (0 or 1),
+        or 2 · leaves where there is none.
     """
     leaves = boxes.leaves
 
@@ -167,7 +168,7 @@ def closest_pair(
 def pending(boxes: Boxes, q: mi.Point3f, reach: mi.Float, leaf: mi.UInt32, bound: mi.Float) -> mi.UInt32:
     """The trail with which every search from the cube of half side ``reach`` about ``q`` can begin at ``leaf``.
 
-    Bit i tells whether the sibling of the leaf's ancestor i levels up is within ``bound`` of the cube.
+    Bit i is set where the sibling of the leaf's ancestor i levels up is within ``bound`` of the cube.
     """
     trail, node = mi.UInt32(0), leaf + boxes.leaves
     for level in range(boxes.depth):

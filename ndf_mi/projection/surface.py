@@ -1,4 +1,4 @@
-"""What does not change with the pose: faces, texture coordinates, the search tree's topology."""
+"""The parts of a surface that no pose changes: faces, texture coordinates and the search tree's topology."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.errors import InputError
-from ndf_mi.projection.posed import PosedSurface
 from ndf_mi.projection.topology import build_tree, half_edges
 
 
 def aligned(array: mi.Float | mi.UInt32) -> mi.Float | mi.UInt32:
-    """A copy in Dr.Jit's own memory: reads of several adjacent values need its alignment, which numpy's has not."""
+    """A copy in Dr.Jit's own memory, aligned so that several adjacent values can be read at once; numpy's is not."""
     array = dr.gather(type(array), array, dr.arange(mi.UInt32, dr.width(array)))
     dr.eval(array)
     return array
 
 
 class Surface:
-    """A textured triangle mesh that will be posed.
+    """A textured triangle mesh, independent of its pose; :class:`ndf_mi.projection.PosedSurface` poses it.
 
     Args:
         faces: (F, 3) integers into the vertices, counter-clockwise seen from outside.
@@ -27,11 +26,19 @@ class Surface:
         uv_faces: (F, 3) integers into ``uv``: texture coordinates belong to corners, so that seams cost nothing.
         reference_vertices: (V, 3) any usual pose, metres; the tree's topology is chosen for it.
 
-    Raises:
-        InputError: if a shape, an index or a value is not as above.
+    Attributes:
+        vertex_count, face_count: V and F.
+        depth: levels of the search tree below its root.
+        faces: flat (3·F) vertices.
+        neighbours: flat (3·F); the triangle across each edge, or the triangle itself at a boundary.
+        corner_uv: flat (6·F) texture coordinates.
+        leaf_corners, leaf_triangles, leaf_occupied: as in :class:`ndf_mi.projection.topology.Tree`.
 
-    The mesh may have boundaries and edges shared by more than two triangles; there the sign of the distance is that of
-    the triangle's own plane. Needs an active variant.
+    Raises:
+        InputError: a shape, an index or a value is not as above.
+
+    The mesh may have boundaries, and edges that more than two triangles share; there the sign of the distance is that
+    of the triangle's own plane. Needs an active variant.
     """
 
     def __init__(
@@ -67,18 +74,6 @@ class Surface:
     def leaves(self) -> int:
         """Leaves of the search tree, a power of two."""
         return 1 << self.depth
-
-    def pose(self, vertices: mi.Float, band: float) -> PosedSurface:
-        """The surface in a pose, ready for queries.
-
-        Args:
-            vertices: flat (3·V), metres; may carry gradients.
-            band: δ > 0, metres: nothing farther from the surface than this is looked for.
-
-        Raises:
-            InputError: if the number of vertices differs, one is not finite, or the band is not positive.
-        """
-        return PosedSurface(self, vertices, band)
 
 
 def _index(array: np.ndarray) -> mi.UInt32:

@@ -1,4 +1,4 @@
-"""What the search needs to know of a mesh whatever its pose: pairs of triangles, their tree, neighbours across edges."""
+"""The search tree of a mesh, and neighbours across edges: topology that no pose changes."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ class Tree:
 
     @property
     def leaves(self) -> int:
+        """Number of leaves."""
         return 1 << self.depth
 
 
@@ -35,8 +36,8 @@ def half_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Neighbours across edges: for (F, 3) faces, edge k runs from corner k to corner k + 1.
 
     Returns:
-        (F, 3) int64 opposite triangle and (F, 3) int64 the number of its edge there; -1 where the edge is on a boundary
-        or is shared by more than two triangles.
+        (F, 3) int64 opposite triangle and (F, 3) int64 the number of the edge there; -1 at a boundary and where more
+        than two triangles share the edge.
     """
     start, end = faces, np.roll(faces, -1, axis=1)
     low, high = np.minimum(start, end).ravel().astype(np.int64), np.maximum(start, end).ravel().astype(np.int64)
@@ -75,7 +76,7 @@ def pair_triangles(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray,
             chosen.append(i)
     single = np.nonzero(free)[0]
     t, k, n, m = (np.asarray(part[chosen], np.int64) for part in (t, k, n, m))
-    # edge k of t runs from c to a: the diagonal that both triangles share
+    # Edge k of t runs from c to a: the diagonal that both triangles share.
     columns = [faces[t, (k + 1) % 3], faces[t, (k + 2) % 3], faces[t, k], faces[n, (m + 2) % 3]]
     alone = faces[single][:, [0, 1, 2, 2]]
     corners = np.concatenate([np.stack(columns, axis=1), alone])

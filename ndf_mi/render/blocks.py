@@ -14,7 +14,7 @@ import numpy as np
 
 from ndf_mi.errors import InputError
 from ndf_mi.field.sample import FieldSample, Located
-from ndf_mi.projection import Surface
+from ndf_mi.projection import PosedSurface, Surface
 from ndf_mi.render.bake import gathered
 from ndf_mi.render.ray_samples import VolumeField
 
@@ -126,7 +126,7 @@ class Blocks:
         bx, by, _ = self._shape
         index = dr.arange(mi.UInt32, int(np.prod(self._shape)))
         middle = self._low + (0.5 + mi.Point3f(index % bx, index // bx % by, index // (bx * by))) * (SIDE * self.cell)
-        wide = surface.pose(dr.detach(vertices), reach + 0.5 * math.sqrt(3.0) * SIDE * self.cell)
+        wide = PosedSurface(surface, dr.detach(vertices), reach + 0.5 * math.sqrt(3.0) * SIDE * self.cell)
         return np.flatnonzero(wide.project(middle).valid.numpy())
 
     def _filled(self, volume: VolumeField, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

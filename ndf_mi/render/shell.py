@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.errors import InputError
-from ndf_mi.projection import Surface
+from ndf_mi.projection import PosedSurface, Surface
 
 PARTS = 2
 """Samples of the distance along each side of a cell; the band is told from them in cubes of a cell's side over this."""
@@ -118,7 +118,7 @@ def lattice(surface: Surface, vertices: mi.Float, band: float, cell: float, grid
     cell = cell if grid is None else grid.cell
     reach = band + math.sqrt(3.0) * cell / PARTS
     with dr.suspend_grad():
-        posed = surface.pose(dr.detach(vertices), reach)
+        posed = PosedSurface(surface, dr.detach(vertices), reach)
         if grid is None:
             grid = Grid.around(posed.bbox.min.numpy().ravel(), posed.bbox.max.numpy().ravel(), cell)
         shape = tuple(PARTS * n for n in grid.shape)

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ndf_mi.projection import Surface
+from ndf_mi.projection import PosedSurface, Surface
 from ndf_mi.stability.ball import charts
 from ndf_mi.stability.case import PROMISE, Measured, error
 from ndf_mi.stability.closest import closest, inside, on_triangles
@@ -60,7 +60,7 @@ def judge(at: str, shape: Shape, points: np.ndarray, band: float, sign: np.ndarr
     posed_vertices = mi.Float(np.ascontiguousarray(shape.vertices, np.float32).ravel())
     query = mi.Point3f(np.ascontiguousarray(x.T))
     dr.enable_grad(posed_vertices, query)
-    found = shape.surface().pose(posed_vertices, band).project(query)
+    found = PosedSurface(shape.surface(), posed_vertices, band).project(query)
 
     dr.backward(dr.sum(found.l), flags=dr.ADFlag.ClearInterior)
     slope, pull = dr.grad(query).numpy().T.astype(np.float64), dr.grad(posed_vertices).numpy().reshape(-1, 3)

@@ -27,7 +27,7 @@ class Mesh:
         return Surface(self.faces, self.uv, self.uv_faces, self.vertices)
 
     def pose(self, band: float = 0.2) -> PosedSurface:
-        return self.surface().pose(mi.Float(self.vertices.astype(np.float32).ravel()), band)
+        return PosedSurface(self.surface(), mi.Float(self.vertices.astype(np.float32).ravel()), band)
 
     def point_of_texel(self, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The triangle whose chart a texel is in, and the surface's point there, from the texel alone."""

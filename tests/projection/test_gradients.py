@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from ndf_mi.projection import PosedSurface
+
 STEP = 1e-6
 
 
@@ -64,7 +66,7 @@ def test_gradient_with_respect_to_the_vertices_in_random_directions(mesh: Any, c
     wl, wuv = seeds(len(x))
     vertices = mi.Float(mesh.vertices.astype(np.float32).ravel())
     dr.enable_grad(vertices)
-    posed = mesh.surface().pose(vertices, 0.2)
+    posed = PosedSurface(mesh.surface(), vertices, 0.2)
     dr.backward(outputs(posed.project(points(x)), (wl, wuv)))
     gradient = np.asarray(dr.grad(vertices)).reshape(-1, 3)
     rng = np.random.default_rng(9)
@@ -99,7 +101,7 @@ def test_slivers_have_finite_gradients(third: list[float], chart: Callable, poin
     start = mi.Float(vertices.astype(np.float32).ravel())
     query = points(x)
     dr.enable_grad(start, query)
-    p = flat.surface().pose(start, 0.5).project(query)
+    p = PosedSurface(flat.surface(), start, 0.5).project(query)
     dr.backward(dr.sum(p.l + p.uv.x - 2 * p.uv.y + p.point.x + p.barycentric.z))
     assert np.isfinite(np.asarray(dr.grad(start))).all() and np.isfinite(np.asarray(dr.grad(query))).all()
     assert np.isfinite(np.asarray(p.l)).all() and np.isfinite(np.asarray(p.uv)).all()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ndf_mi.errors import InputError
-from ndf_mi.projection import Surface
+from ndf_mi.projection import PosedSurface, Surface
 
 V = np.eye(4, 3)
 F = np.array([[0, 1, 2], [0, 2, 3]])
@@ -45,5 +45,5 @@ def test_what_is_wrong_is_named(arguments: tuple, where: str) -> None:
 )
 def test_a_wrong_pose_is_named(vertices: np.ndarray, band: float, where: str) -> None:
     with pytest.raises(InputError) as caught:
-        Surface(F, UV, G, V).pose(mi.Float(vertices.astype(np.float32)), band)
+        PosedSurface(Surface(F, UV, G, V), mi.Float(vertices.astype(np.float32)), band)
     assert caught.value.where == where

@@ -10,6 +10,8 @@ import mitsuba as mi
 import numpy as np
 import trimesh
 
+from ndf_mi.projection import PosedSurface
+
 RECORDS = 1 << 15
 
 
@@ -119,13 +121,13 @@ def test_gradient_reaches_the_vertices_inside_a_medium(mesh: Any) -> None:
             self.m_has_spectral_extinction = False
             self.vertices = mi.Float(start)
             dr.make_opaque(self.vertices)
-            self.posed = surface.pose(self.vertices, band)
+            self.posed = PosedSurface(surface, self.vertices, band)
 
         def traverse(self, callback: Any) -> None:
             callback.put("vertices", self.vertices, mi.ParamFlags.Differentiable)
 
         def parameters_changed(self, keys: list[str]) -> None:
-            self.posed = surface.pose(self.vertices, band)
+            self.posed = PosedSurface(surface, self.vertices, band)
 
         def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
             return self.posed.bbox.ray_intersect(ray)
@@ -179,7 +181,7 @@ def test_gradient_reaches_the_vertices_inside_a_medium(mesh: Any) -> None:
 
     scale = mi.Float(1)
     dr.enable_grad(scale)
-    sigma = absorption(surface.pose(start * scale, band), x, dr.all(dr.abs(x) < 0.95))
+    sigma = absorption(PosedSurface(surface, start * scale, band), x, dr.all(dr.abs(x) < 0.95))
     transmittance = dr.mean(dr.exp(-dr.block_sum(sigma, steps) * length))
     dr.backward(transmittance)
     assert abs(float(np.asarray(image).mean()) - float(transmittance[0])) < 0.01
@@ -199,7 +201,7 @@ def test_a_new_pose_compiles_nothing(mesh: Any, scatter: Callable, points: Calla
         dr.enable_grad(vertices, x)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
             dr.kernel_history_clear()
-            posed = surface.pose(vertices, 0.1 + 0.01 * i)
+            posed = PosedSurface(surface, vertices, 0.1 + 0.01 * i)
             p = posed.project(x)
             dr.backward(dr.sum(dr.select(p.valid, p.l + p.uv.x, 0)))
             dr.eval(dr.grad(vertices), dr.grad(x), p.l, p.uv)

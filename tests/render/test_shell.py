@@ -8,7 +8,7 @@ import trimesh
 
 from ndf_mi.body.anny import load_anny
 from ndf_mi.body.motion import load_clip, pose_sequence
-from ndf_mi.projection import Surface
+from ndf_mi.projection import PosedSurface, Surface
 from ndf_mi.render.shell import Grid, band_points, band_shell, corners_of, cut, reduce_parts, spread
 
 BAND, INSIDE, CELL = 0.06, 0.025, 0.02
@@ -91,7 +91,7 @@ def test_shell_is_closed_and_contains_the_band(name):
     points = rng.uniform(posed.min(0) - BAND, posed.max(0) + BAND, (20000, 3))
     # And close to all of the body: in armpits, between fingers and legs.
     points = np.concatenate([points, band_points(surface, posed, BAND, INSIDE, 20000, seed=3)])
-    found = surface.pose(mi.Float(posed.ravel()), BAND).project(mi.Point3f(points.astype(np.float32).T))
+    found = PosedSurface(surface, mi.Float(posed.ravel()), BAND).project(mi.Point3f(points.astype(np.float32).T))
     band = found.valid.numpy() & (found.l.numpy() >= -INSIDE)
     assert band.sum() > 2000
     assert inside(vertices, faces, points[band]).all()
@@ -118,7 +118,7 @@ def test_follows_a_moved_body():
     bent[:, 0] += 0.4 * bent[:, 1] ** 2
     vertices, faces = band_shell(surface, mi.Float(bent.ravel()), BAND, CELL, INSIDE)
     points = bent + np.array([0, 0, BAND - 1e-3])
-    found = surface.pose(mi.Float(bent.ravel()), BAND).project(mi.Point3f(points.astype(np.float32).T))
+    found = PosedSurface(surface, mi.Float(bent.ravel()), BAND).project(mi.Point3f(points.astype(np.float32).T))
     band = found.valid.numpy() & (found.l.numpy() >= -INSIDE)
     assert band.sum() > 0.4 * len(points)
     assert inside(vertices, faces, points[band]).all()
