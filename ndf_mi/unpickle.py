@@ -1,8 +1,9 @@
-"""Arrays out of pickles that others wrote, without running anything that a pickle names.
+"""Reads arrays from pickles that others wrote, without running anything that a pickle names.
 
-Nothing of numpy, scipy or chumpy is called by the file: the names that it may use stand for inert records of ours, which only
-keep what they are given. Once the pickle has been read, arrays are put together from their bytes, sparse matrices from checked
-indices, and chumpy's arrays by their values. Any other name ends the reading.
+The names that a pickle may use stand for inert records (`ndf_mi.unpickle_records`), which only store what
+they are given. Once the pickle has been read, arrays are built from their bytes, sparse matrices from checked
+indices, and chumpy's arrays from their values. Any other name is refused. Time and memory are bounded by the
+size of the file, whatever it claims.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import io
 import os
 import pickle
 import re
+import struct
 import warnings
 import zipfile
 import zlib
@@ -21,41 +23,44 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ndf_mi.errors import InputError
-from ndf_mi.unpickle_records import Malformed, admitted, plain
+from ndf_mi.unpickle_records import Build, Malformed, Record, admitted, checked_key
 
 MOST_BYTES = 2**31
-"""A file, or a member of an ``.npz``, larger than this is refused: a body model is a hundredth of it."""
+"""The largest file, or member of an ``.npz``, that is read; a body model is a hundredth of it."""
 
 _ADMITTED = "arrays of numpy, matrices of scipy.sparse and arrays of chumpy, in lists and dicts"
 
 
 def load_pickle(path: str | os.PathLike[str]) -> Any:
-    """What a pickle holds: numbers, strings, lists, tuples, dicts, numpy arrays and scipy.sparse matrices.
+    """Reads a pickle: numbers, strings, lists, tuples, dicts, numpy arrays and scipy.sparse matrices.
 
-    Python 2's strings are read as latin1; chumpy's arrays (`chumpy.ch.Ch`, `chumpy.reordering.Select`) come as numpy arrays.
+    Python 2's strings are read as latin1. Arrays of chumpy (`chumpy.ch.Ch`, `chumpy.reordering.Select`)
+    become numpy arrays, sets become lists.
 
     Raises:
-        InputError: no such file, a damaged one, or one that names another class or function, which the message names.
+        InputError: the file is missing or damaged, stands for more than it can hold, or names another class
+            or function.
     """
     path = Path(path)
     return _unpickle(os.fspath(path), _contents(path, "a pickle"))
 
 
 def load_npy(path: str | os.PathLike[str]) -> Any:
-    """What a ``.npy`` file holds: an array, or the object that was pickled into it (a dict, as a rule), as `load_pickle` gives it.
+    """Reads a ``.npy`` file: an array, or the object pickled into it (usually a dict), as `load_pickle`
+    returns it.
 
     Raises:
-        InputError: as `load_pickle`; or the file is no ``.npy``.
+        InputError: as `load_pickle`; or the file is not a ``.npy`` file.
     """
     path = Path(path)
     return _npy(os.fspath(path), _contents(path, "a .npy file"))
 
 
 def load_npz(path: str | os.PathLike[str], keys: Sequence[str]) -> dict[str, Any]:
-    """Those of the named entries of an ``.npz`` file that are there, pickled ones as `load_npy` gives them.
+    """Reads those of the named entries of an ``.npz`` file that exist, pickled ones as `load_npy` does.
 
     Raises:
-        InputError: as `load_npy`; or the file is no ``.npz``.
+        InputError: as `load_npy`; or the file is not an ``.npz`` file.
     """
     path = Path(path)
     found: dict[str, Any] = {}
@@ -91,7 +96,8 @@ def _npy(where: str, data: bytes) -> Any:
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        form = np.lib.format
+        read = form.read_array_header_1_0 if version == (1, 0) else form.read_array_header_2_0
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a header that Python 2 wrote
             _, _, kind = read(stream)
@@ -104,34 +110,82 @@ def _npy(where: str, data: bytes) -> Any:
     return value.item() if isinstance(value, np.ndarray) and value.shape == () else value
 
 
-class _Unpickler(pickle.Unpickler):
-    """Admits the names in `admitted`; see there for why none of them runs anything."""
+_Reader: Any = pickle._Unpickler
+
+
+class _Unpickler(_Reader):
+    """Reads a pickle with the names in `admitted`, none of which runs anything.
+
+    It extends the reader written in Python, since the one in C makes room for any number that a file gives to
+    a memorised value: eleven bytes can take 4 GiB. Sizes and keys of dicts are checked: the hash of a tuple
+    of shared tuples can take years.
+    """
 
     def __init__(self, where: str, data: bytes) -> None:
         super().__init__(io.BytesIO(data), fix_imports=False, encoding="latin1")
         self._where = where
+        self._size = len(data)
 
     def find_class(self, module: str, name: str) -> Any:
         found = admitted(module, name)
         if found is None:
-            # What a pickle names is shown as it stands only where it is a name.
-            shown = f"{module}.{name}" if re.fullmatch(r"[\w.]{1,100}", f"{module}.{name}") else ascii(f"{module}.{name}")[:100]
-            repair = "Nothing of it has been run. Where you trust the file, save its arrays with numpy.savez in the program that wrote it."
+            # Anything else than a name is shown escaped.
+            full = f"{module}.{name}"
+            shown = full if re.fullmatch(r"[\w.]{1,100}", full) else ascii(full)[:100]
+            repair = ("Nothing in it has been run. If you trust the file, load it with the program that wrote "
+                      "it, and save its arrays with numpy.savez.")
             raise InputError(self._where, f"a pickle that names {shown}", _ADMITTED, repair)
         return found
 
     def persistent_load(self, pid: Any) -> NoReturn:
         raise pickle.UnpicklingError("it refers to objects outside the file")
 
+    def load_setitem(self) -> None:
+        value, key = self.stack.pop(), self.stack.pop()
+        self._put([key, value])
+
+    def load_setitems(self) -> None:
+        self._put(self.pop_mark())
+
+    def load_dict(self) -> None:
+        items = self.pop_mark()
+        self.append({})
+        self._put(items)
+
+    def load_bytearray8(self) -> None:
+        (size,) = struct.unpack("<Q", self.read(8))
+        if size > self._size:
+            raise pickle.UnpicklingError("it is truncated")
+        self.append(bytearray(self.read(size)))
+
+    def _put(self, items: list[Any]) -> None:
+        """Puts keys and values, which alternate, into the dict on top of the stack."""
+        top = self.stack[-1]
+        target = top.items if isinstance(top, Record) else top
+        if not isinstance(target, dict):
+            raise pickle.UnpicklingError("it puts items into something else than a dict")
+        for key, value in zip(items[::2], items[1::2], strict=True):
+            target[checked_key(key)] = value
+
+    dispatch = _Reader.dispatch | {
+        pickle.SETITEM[0]: load_setitem,
+        pickle.SETITEMS[0]: load_setitems,
+        pickle.DICT[0]: load_dict,
+        pickle.BYTEARRAY8[0]: load_bytearray8,
+        # Sets are never needed, and become lists.
+        pickle.EMPTY_SET[0]: _Reader.load_empty_list,
+        pickle.ADDITEMS[0]: _Reader.load_appends,
+        pickle.FROZENSET[0]: _Reader.load_list,
+    }
+
 
 def _unpickle(where: str, data: bytes) -> Any:
     try:
-        return plain(_Unpickler(where, data).load())
+        return Build(len(data))(_Unpickler(where, data).load())
     except InputError:
         raise
     except Malformed as error:
         raise InputError(where, f"a pickle with {error}", _ADMITTED) from None
     except Exception as error:  # a damaged pickle can end in nearly any exception
-        raise InputError(where, f"a damaged or truncated pickle ({type(error).__name__}: {error})", "a whole pickle") from None
-
-
+        found = f"a damaged or truncated pickle ({type(error).__name__}: {error})"
+        raise InputError(where, found if len(found) < 300 else f"{found[:300]}…", "a whole pickle") from None

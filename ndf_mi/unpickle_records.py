@@ -1,124 +1,188 @@
-"""What the names in a pickle stand for: records that keep what they are given, and the arrays made of them afterwards.
+"""What the names in a pickle stand for: inert records, and the arrays that are built from them once the
+pickle has been read.
 
-A pickle can call what it names with any arguments, set any state on the result, and on what it names itself. So each name here
-is a class whose instances only store, and whose class cannot be altered by a pickle: state set on the class arrives
-at `__setstate__` without an instance and fails.
+A pickle can call what it names with any arguments, and set any state on the result. NumPy's and SciPy's own
+functions trust both: with a crafted state, an array reads outside its memory. Here every name is a class
+whose instances only store what they are given. `Build` then makes arrays from checked bytes, shapes and
+indices.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections import OrderedDict
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from scipy import sparse
+
+MOST_ENTRIES = 2**23
+"""Entries, zeros included, of the largest sparse matrix: ten times those of SMPL-X's joint regressor."""
 
 _DTYPE = re.compile(r"[<>=|]?(?:b1|[iu][1248]|f[248]|c(?:8|16)|[SU]\d{1,6}|O[48]?|\?)")
 _MOST_NESTED = 100
 
 
 class Malformed(ValueError):
-    """The records of a pickle don't make an array; the message completes "a pickle with …"."""
+    """The records of a pickle do not make arrays; the message completes "a pickle with …"."""
 
 
 class Record:
-    """Keeps the arguments it is made with and the state that is set on it."""
+    """Stores the arguments it is called with, the state that is set on it and the items that are put into it.
 
-    __slots__ = ("arguments", "state")
+    A pickle cannot alter the class itself: a state set on the class arrives at `__setstate__` without an
+    instance, and fails.
+    """
+
+    __slots__ = ("arguments", "items", "state")
 
     arguments: tuple[Any, ...]
     state: Any
+    items: dict[Any, Any]
 
-    def __new__(cls, *arguments: Any) -> Record:  # not __init__, which not every protocol calls
+    def __new__(cls, *arguments: Any) -> Record:  # not __init__, which some protocols do not call
         record = super().__new__(cls)
-        record.arguments = arguments
-        record.state = None
+        record.arguments, record.state, record.items = arguments, None, {}
         return record
 
     def __setstate__(self, state: Any) -> None:
         self.state = state
 
+    def make(self, build: Build) -> Any:
+        raise NotImplementedError
 
-class DtypeRecord(Record):
+
+def _record(make: Callable[[Record, Build], Any]) -> type[Record]:
+    """A kind of record whose value a function makes."""
+    return type(make.__name__, (Record,), {"__slots__": (), "make": make})
+
+
+class Build:
+    """Builds the values of a pickle: records become what they stand for, in lists, tuples and dicts.
+
+    A shared value is built once. What all values would take if none was shared must be less than 1 MiB and
+    8 bytes for each byte of the file, so that a short file cannot stand for more than can be handled.
+
+    Args:
+        size: of the file in bytes.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._most = 8 * size + 2**20
+        self._bytes = 0
+        self._done: dict[int, tuple[Any, int]] = {}
+        self._kept: list[Any] = []  # so that no id is used twice
+        self._depth = 0
+
+    def __call__(self, value: Any) -> Any:
+        """The value that `value` stands for.
+
+        Raises:
+            Malformed: a record that makes no array, a value that contains itself, or values that take too
+                much.
+        """
+        if not isinstance(value, list | tuple | dict | Record):
+            if isinstance(value, type):
+                raise Malformed("a class in place of a value")
+            self.spend(8)
+            return value
+        key = id(value)
+        if key in self._done:
+            result, taken = self._done[key]
+            if result is self:
+                raise Malformed("a value that contains itself")
+            self.spend(taken)
+            return result
+        if self._depth == _MOST_NESTED:
+            raise Malformed(f"values nested more than {_MOST_NESTED} deep")
+        self._done[key] = self, 0  # being built
+        self._kept.append(value)
+        self._depth += 1
+        before = self._bytes
+        self.spend(8)
+        if isinstance(value, dict):
+            result = {self(key): self(item) for key, item in value.items()}
+        elif isinstance(value, list):
+            result = [self(item) for item in value]
+        elif isinstance(value, tuple):
+            result = tuple(self(item) for item in value)
+        else:
+            result = value.make(self)
+        self._depth -= 1
+        self._done[key] = result, self._bytes - before
+        return result
+
+    def spend(self, count: int) -> None:
+        """Counts bytes that a value takes."""
+        self._bytes += count
+        if self._bytes > self._most:
+            raise Malformed("values that are larger than the file can hold")
+
+
+@_record
+def dtype(record: Record, build: Build) -> np.dtype[Any]:
     """``numpy.dtype``: the kind's name, then as state (version, byte order, …)."""
-
-    __slots__ = ()
-
-    def dtype(self) -> np.dtype[Any]:
-        text = self.arguments[0] if self.arguments else None
-        text = text.decode("ascii", "replace") if isinstance(text, bytes) else text
-        if not isinstance(text, str) or not _DTYPE.fullmatch(text):
-            raise Malformed("an array of a type that is not of numbers, strings or objects")
-        dtype = np.dtype("O" if text.lstrip("<>=|").startswith("O") else text)
-        order = self.state[1] if isinstance(self.state, tuple) and len(self.state) > 1 else "="
-        order = order.decode("ascii", "replace") if isinstance(order, bytes) else order
-        if order == ">":
-            return dtype.newbyteorder(">")
-        return dtype.newbyteorder("<") if order == "<" else dtype
+    text = _text(record.arguments[0] if record.arguments else None)
+    if not isinstance(text, str) or not _DTYPE.fullmatch(text):
+        raise Malformed("an array of a type that is not of numbers, strings or objects")
+    found = np.dtype("O" if text.lstrip("<>=|").startswith("O") else text)
+    order = _text(record.state[1]) if isinstance(record.state, tuple) and len(record.state) > 1 else "="
+    return found.newbyteorder(">" if order == ">" else "<") if order in ("<", ">") else found
 
 
-class ArrayRecord(Record):
-    """``numpy.core.multiarray._reconstruct``: an empty array, whose state is (version, shape, dtype, Fortran order, data)."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> np.ndarray:
-        if not isinstance(self.state, tuple) or len(self.state) not in (4, 5):
-            raise Malformed("an array without contents")
-        shape, kind, fortran, data = self.state[-4:]
-        return _array(walk, data, kind, shape, "F" if fortran else "C")
-
-
-class BufferRecord(Record):
-    """``numpy.core.numeric._frombuffer``: (data, dtype, shape, order), an array in pickle's fifth protocol."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> np.ndarray:
-        if len(self.arguments) != 4:
-            raise Malformed("an array without contents")
-        data, kind, shape, order = self.arguments
-        return _array(walk, data, kind, shape, "F" if order == "F" else "C")
+@_record
+def reconstruct(record: Record, build: Build) -> np.ndarray:
+    """``numpy.core.multiarray._reconstruct``: an empty array, whose state is (version, shape, dtype, Fortran
+    order, data).
+    """
+    if not isinstance(record.state, tuple) or len(record.state) not in (4, 5):
+        raise Malformed("an array without contents")
+    shape, kind, fortran, data = record.state[-4:]
+    return _array(build, data, kind, shape, "F" if fortran else "C")
 
 
-class ScalarRecord(Record):
+@_record
+def from_buffer(record: Record, build: Build) -> np.ndarray:
+    """``numpy.core.numeric._frombuffer``: (data, dtype, shape, order), an array in pickle's fifth
+    protocol.
+    """
+    data, kind, shape, order = _arguments(record, 4)
+    return _array(build, data, kind, shape, "F" if order == "F" else "C")
+
+
+@_record
+def scalar(record: Record, build: Build) -> Any:
     """``numpy.core.multiarray.scalar``: (dtype, data)."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> Any:
-        if len(self.arguments) != 2:
-            raise Malformed("a number without a value")
-        kind, data = self.arguments
-        return _array(walk, data, kind, (), "C")[()]
+    kind, data = _arguments(record, 2)
+    return _array(build, data, kind, (), "C")[()]
 
 
-class SparseRecord(Record):
-    """A matrix of ``scipy.sparse``: its attributes as state. `FORMAT` names the layout of the subclass."""
+def _sparse(layout: str) -> type[Record]:
+    """A matrix of ``scipy.sparse`` in a layout: its attributes as state."""
 
-    __slots__ = ()
-    FORMAT = ""
-
-    def make(self, walk: _Walk) -> Any:
-        state = _attributes(self.state)
-        shape = walk(state.get("_shape", state.get("shape")))
+    @_record
+    def matrix(record: Record, build: Build) -> Any:
+        state = _attributes(record.state)
+        shape = build(state.get("_shape", state.get("shape")))
         if not isinstance(shape, tuple) or len(shape) != 2:
             raise Malformed("a sparse matrix without a shape")
         shape = tuple(int(n) for n in _whole(np.asarray(shape)))
+        if min(shape) < 0 or math.prod(shape) > MOST_ENTRIES:
+            raise Malformed(f"a sparse matrix of {shape[0]} × {shape[1]} entries")
         try:
-            if self.FORMAT == "coo":
-                coords = walk(state["coords"]) if "coords" in state else (walk(state["row"]), walk(state["col"]))
+            if layout == "coo":
+                coords = build(state["coords"] if "coords" in state else (state["row"], state["col"]))
                 rows, columns = (_whole(part) for part in coords)
             else:
-                along, starts = _whole(walk(state["indices"])), _whole(walk(state["indptr"]))
-                outer = shape[0] if self.FORMAT == "csr" else shape[1]
-                if starts.shape != (outer + 1,) or starts[0] != 0 or starts[-1] != len(along) or (np.diff(starts) < 0).any():
-                    raise Malformed("a sparse matrix whose columns or rows don't add up")
+                along, starts = _whole(build(state["indices"])), _whole(build(state["indptr"]))
+                outer = shape[0] if layout == "csr" else shape[1]
+                ends = starts.shape == (outer + 1,) and starts[0] == 0 and starts[-1] == len(along)
+                if not ends or (np.diff(starts) < 0).any():
+                    raise Malformed("a sparse matrix whose rows or columns don't add up")
                 across = np.repeat(np.arange(outer), np.diff(starts))
-                rows, columns = (across, along) if self.FORMAT == "csr" else (along, across)
-            data = walk(state["data"])
+                rows, columns = (across, along) if layout == "csr" else (along, across)
+            data = build(state["data"])
         except (KeyError, TypeError) as error:
             raise Malformed(f"a sparse matrix without {error}") from None
         numbers = isinstance(data, np.ndarray) and data.ndim == 1 and data.dtype.kind in "biuf"
@@ -127,207 +191,145 @@ class SparseRecord(Record):
         for index, size in ((rows, shape[0]), (columns, shape[1])):
             if index.size and (index.min() < 0 or index.max() >= size):
                 raise Malformed("a sparse matrix with an index outside its shape")
-        return sparse.coo_array((data, (rows, columns)), shape=shape).asformat(self.FORMAT)
+        return sparse.coo_array((data, (rows, columns)), shape=shape).asformat(layout)
+
+    return matrix
 
 
-class CscRecord(SparseRecord):
-    __slots__ = ()
-    FORMAT = "csc"
+@_record
+def chumpy_array(record: Record, build: Build) -> np.ndarray:
+    """``chumpy.ch.Ch``: an array, the attribute ``x``. Its other attributes serve its gradients."""
+    return _values(build, record.state, "x")
 
 
-class CsrRecord(SparseRecord):
-    __slots__ = ()
-    FORMAT = "csr"
+@_record
+def chumpy_select(record: Record, build: Build) -> np.ndarray:
+    """``chumpy.reordering.Select``: the entries ``idxs`` of ``a``, row by row, in ``preferred_shape`` if it
+    has one.
+    """
+    state = _attributes(record.state)
+    values = _values(build, state, "a").ravel()
+    chosen = _whole(np.asarray(build(state.get("idxs")))).ravel()
+    if chosen.size and (chosen.min() < 0 or chosen.max() >= values.size):
+        raise Malformed("a selection of entries that an array lacks")
+    shape = build(state.get("preferred_shape"))
+    shape = (chosen.size,) if shape is None else tuple(int(n) for n in _whole(np.asarray(shape)).ravel())
+    if not _is_shape(shape) or math.prod(shape) != chosen.size:
+        raise Malformed("a selection of another number of entries than its shape has")
+    build.spend(chosen.size * values.itemsize)
+    return values[chosen].reshape(shape)
 
 
-class CooRecord(SparseRecord):
-    __slots__ = ()
-    FORMAT = "coo"
-
-
-class ChumpyRecord(Record):
-    """``chumpy.ch.Ch``: an array, kept as the attribute ``x``; what else it knows is for its gradients."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> np.ndarray:
-        return _values(walk, self.state, "x")
-
-
-class SelectRecord(Record):
-    """``chumpy.reordering.Select``: the entries ``idxs`` of ``a``, row by row, in ``preferred_shape`` where there is one."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> np.ndarray:
-        state = _attributes(self.state)
-        values = _values(walk, state, "a").ravel()
-        chosen = _whole(np.asarray(walk(state.get("idxs")))).ravel()
-        if chosen.size and (chosen.min() < 0 or chosen.max() >= values.size):
-            raise Malformed("a selection of entries that an array lacks")
-        shape = walk(state.get("preferred_shape"))
-        if shape is None:
-            return values[chosen]
-        shape = tuple(int(n) for n in _whole(np.asarray(shape)).ravel())
-        if not _is_shape(shape) or math.prod(shape) != chosen.size:
-            raise Malformed("a selection of another number of entries than its shape has")
-        return values[chosen].reshape(shape)
-
-
-class EncodeRecord(Record):
+@_record
+def encode(record: Record, build: Build) -> bytes:
     """``_codecs.encode``: (text, "latin1"), which is how bytes are written for Python 2."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> bytes:
-        match self.arguments:
-            case (str() as text, "latin1" | "latin-1" | "iso-8859-1"):
-                return text.encode("latin1")
-        raise Malformed("bytes that are not in latin1")
+    match record.arguments:
+        case (str() as text, "latin1" | "latin-1" | "iso-8859-1"):
+            return text.encode("latin1")
+    raise Malformed("bytes that are not in latin1")
 
 
-class BytesRecord(Record):
+@_record
+def empty_bytes(record: Record, build: Build) -> bytes:
     """``bytes()``, which is how empty bytes are written for Python 2."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> bytes:
-        if self.arguments:
-            raise Malformed("bytes that are made from something else")
-        return b""
+    if record.arguments:
+        raise Malformed("bytes that are made from something else")
+    return b""
 
 
-class RebuiltRecord(Record):
-    """``copy_reg._reconstructor(class, object, None)``: an object of a class in pickle's first two protocols; its state follows."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> Any:
-        kind = self.arguments[0] if self.arguments else None
-        if not (isinstance(kind, type) and issubclass(kind, Record) and kind is not RebuiltRecord):
-            raise Malformed("an object of no class that is known")
-        record = kind()
-        record.state = self.state
-        return walk(record)
-
-
-class ObjectRecord(Record):
-    """``object``: what `RebuiltRecord` names as the base; nothing by itself."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> None:
-        return None
+@_record
+def rebuilt(record: Record, build: Build) -> Any:
+    """``copy_reg._reconstructor(class, object, None)``: an object in pickle's first two protocols; its state
+    follows.
+    """
+    kind = record.arguments[0] if record.arguments else None
+    if not (isinstance(kind, type) and issubclass(kind, Record) and kind is not rebuilt):
+        raise Malformed("an object of no class that is known")
+    inner = kind()
+    inner.state = record.state
+    return build(inner)
 
 
-class SetRecord(Record):
-    """``set(list)``: among the attributes of chumpy's arrays; never needed by itself."""
-
-    __slots__ = ()
-
-    def make(self, walk: _Walk) -> list[Any]:
-        return walk(self.arguments[0]) if self.arguments else []
+@_record
+def base_class(record: Record, build: Build) -> None:
+    """``object`` or ``numpy.ndarray``, which other names take as an argument."""
+    return None
 
 
-_ARRAYS = ("numpy.core.multiarray", "numpy._core.multiarray")
-_NAMES: dict[tuple[str, str], type] = {
-    ("numpy", "dtype"): DtypeRecord,
-    ("numpy", "ndarray"): ObjectRecord,
-    ("collections", "OrderedDict"): OrderedDict,
-    ("_codecs", "encode"): EncodeRecord,
-    ("chumpy.ch", "Ch"): ChumpyRecord,
-    ("chumpy", "Ch"): ChumpyRecord,
-    ("chumpy.reordering", "Select"): SelectRecord,
-    **{(module, "_reconstruct"): ArrayRecord for module in _ARRAYS},
-    **{(module, "scalar"): ScalarRecord for module in _ARRAYS},
-    **{(module, "_frombuffer"): BufferRecord for module in ("numpy.core.numeric", "numpy._core.numeric")},
-    **{(module, "_reconstructor"): RebuiltRecord for module in ("copy_reg", "copyreg")},
-    **{
-        (module, name): record
-        for module in ("__builtin__", "builtins")
-        for name, record in (("object", ObjectRecord), ("set", SetRecord), ("bytes", BytesRecord))
-    },
-    **{
-        (module, f"{form}_{kind}"): record
-        for form, record in (("csc", CscRecord), ("csr", CsrRecord), ("coo", CooRecord))
-        for kind in ("matrix", "array")
-        for module in (f"scipy.sparse.{form}", f"scipy.sparse._{form}", "scipy.sparse")
-    },
-}
+@_record
+def set_as_list(record: Record, build: Build) -> list[Any]:
+    """``set(list)``: found among the attributes of chumpy's arrays."""
+    return build(record.arguments[0]) if record.arguments else []
 
 
-def admitted(module: str, name: str) -> type | None:
-    """What a pickle's name stands for, or None where it is not one of those admitted."""
+@_record
+def ordered_dict(record: Record, build: Build) -> dict[Any, Any]:
+    """``collections.OrderedDict``: its items follow, or are a list of pairs in Python 2."""
+    pairs = record.arguments[0] if record.arguments else []
+    listed = isinstance(pairs, list) and all(isinstance(pair, list | tuple) for pair in pairs)
+    if not listed or any(len(pair) != 2 for pair in pairs):
+        raise Malformed("a dict that is made from something else than pairs")
+    return build({checked_key(key): value for key, value in pairs} | record.items)
+
+
+_BUILTINS = {"object": base_class, "set": set_as_list, "bytes": empty_bytes}
+_NAMES: dict[tuple[str, str], type[Record]] = {
+    ("numpy", "dtype"): dtype,
+    ("numpy", "ndarray"): base_class,
+    ("collections", "OrderedDict"): ordered_dict,
+    ("_codecs", "encode"): encode,
+    ("chumpy.ch", "Ch"): chumpy_array,
+    ("chumpy", "Ch"): chumpy_array,
+    ("chumpy.reordering", "Select"): chumpy_select,
+    **{(f"numpy.{core}.multiarray", "_reconstruct"): reconstruct for core in ("core", "_core")},
+    **{(f"numpy.{core}.multiarray", "scalar"): scalar for core in ("core", "_core")},
+    **{(f"numpy.{core}.numeric", "_frombuffer"): from_buffer for core in ("core", "_core")},
+    **{(module, "_reconstructor"): rebuilt for module in ("copy_reg", "copyreg")},
+    **{(module, name): kind for module in ("__builtin__", "builtins") for name, kind in _BUILTINS.items()},
+    **{(module, f"{layout}_{suffix}"): kind
+       for layout in ("csc", "csr", "coo") for kind in (_sparse(layout),) for suffix in ("matrix", "array")
+       for module in (f"scipy.sparse.{layout}", f"scipy.sparse._{layout}", "scipy.sparse")},
+}  # fmt: skip
+
+
+def checked_key(key: Any) -> Any:
+    """The key of a dict, if hashing it takes no longer than reading it.
+
+    Raises:
+        Malformed: the key is neither text, a whole number nor None.
+    """
+    if key is None or isinstance(key, str | bytes | Record) or (isinstance(key, int) and abs(key) < 2**60):
+        return key
+    raise Malformed("a dict with a key that is neither text nor a whole number")
+
+
+def admitted(module: str, name: str) -> type[Record] | None:
+    """The kind of record that a name in a pickle stands for; None if the name is not admitted."""
     return _NAMES.get((module, name))
 
 
-def plain(value: Any) -> Any:
-    """``value`` with all records in it made into what they stand for.
-
-    Raises:
-        Malformed: a record that makes no array, or a value that holds itself.
+def _array(build: Build, data: Any, kind: Any, shape: Any, order: Any) -> np.ndarray:
+    """An array with its own memory from bytes (latin1 text, if Python 2 wrote them) or, for objects, from a
+    list.
     """
-    return _Walk()(value)
-
-
-class _Walk:
-    """Goes through lists, tuples and dicts once each, however often they are shared."""
-
-    def __init__(self) -> None:
-        self._done: dict[int, Any] = {}
-        self._kept: list[Any] = []  # ids are those of living objects
-        self._depth = 0
-
-    def __call__(self, value: Any) -> Any:
-        if not isinstance(value, list | tuple | dict | Record):
-            if isinstance(value, type):
-                raise Malformed("a class in place of a value")
-            return value
-        key = id(value)
-        if key in self._done:
-            if self._done[key] is self:
-                raise Malformed("a value that holds itself")
-            return self._done[key]
-        if self._depth == _MOST_NESTED:
-            raise Malformed(f"values nested more than {_MOST_NESTED} deep")
-        self._done[key] = self  # being made
-        self._kept.append(value)
-        self._depth += 1
-        result = self._make(value)
-        self._depth -= 1
-        self._done[key] = result
-        return result
-
-    def _make(self, value: Any) -> Any:
-        if isinstance(value, dict):
-            return {self(key): self(item) for key, item in value.items()}
-        if isinstance(value, list):
-            return [self(item) for item in value]
-        if isinstance(value, tuple):
-            return tuple(self(item) for item in value)
-        if isinstance(value, DtypeRecord):
-            return value.dtype()
-        return value.make(self)
-
-
-def _array(walk: _Walk, data: Any, kind: Any, shape: Any, order: Any) -> np.ndarray:
-    """An array of its own memory from bytes (latin1 text, where Python 2 wrote them) or, for objects, from a list."""
-    if not isinstance(kind, DtypeRecord) or not _is_shape(shape):
+    if not isinstance(kind, dtype) or not _is_shape(shape):
         raise Malformed("an array without a shape or a type")
-    dtype, count = kind.dtype(), math.prod(shape)
-    if dtype.hasobject:
+    made, count = kind.make(build), math.prod(shape)
+    if made.hasobject:
         if not isinstance(data, list) or len(data) != count:
             raise Malformed("an array of another number of objects than its shape has")
         objects = np.empty(count, dtype=object)
         for i, item in enumerate(data):
-            objects[i] = walk(item)
+            objects[i] = build(item)
         return objects.reshape(shape, order=order)
-    data = walk(data)
+    data = build(data)
     if isinstance(data, str):
         data = data.encode("latin1")
-    if not isinstance(data, bytes | bytearray) or len(data) != count * dtype.itemsize:
-        raise Malformed(f"an array of {shape} whose data are of another size")
-    return np.frombuffer(data, dtype=dtype, count=count).reshape(shape, order=order).astype(dtype.newbyteorder("="), order="C")
+    if not isinstance(data, bytes | bytearray) or len(data) != count * made.itemsize:
+        raise Malformed("an array whose data are of another size than its shape")
+    build.spend(len(data))
+    array = np.frombuffer(data, dtype=made, count=count).reshape(shape, order=order)
+    return array.astype(made.newbyteorder("="), order="C")
 
 
 def _is_shape(shape: Any) -> bool:
@@ -335,18 +337,23 @@ def _is_shape(shape: Any) -> bool:
     return whole and all(isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 2**40 for n in shape)
 
 
+def _arguments(record: Record, count: int) -> tuple[Any, ...]:
+    if len(record.arguments) != count:
+        raise Malformed("an array without contents")
+    return record.arguments
+
+
 def _attributes(state: Any) -> dict[str, Any]:
     """An object's attributes: a dict, or a pair of that and of those in slots."""
     if isinstance(state, tuple) and len(state) == 2:
-        parts = [part for part in state if isinstance(part, dict)]
-        state = {key: value for part in parts for key, value in part.items()}
+        state = {key: value for part in state if isinstance(part, dict) for key, value in part.items()}
     if not isinstance(state, dict):
         raise Malformed("an object without attributes")
     return state
 
 
-def _values(walk: _Walk, state: Any, name: str) -> np.ndarray:
-    values = walk(_attributes(state).get(name))
+def _values(build: Build, state: Any, name: str) -> np.ndarray:
+    values = build(_attributes(state).get(name))
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "biuf":
         raise Malformed(f"an array of chumpy without its values ({name})")
     return values
@@ -356,3 +363,7 @@ def _whole(array: Any) -> np.ndarray:
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "iu":
         raise Malformed("indices that are not whole numbers")
     return array
+
+
+def _text(value: Any) -> Any:
+    return value.decode("ascii", "replace") if isinstance(value, bytes) else value
