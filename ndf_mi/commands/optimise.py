@@ -10,101 +10,122 @@ import tyro
 
 from ndf_mi.commands.training_options import ABLATION_NAMES, OPTION_HELP, PRESET_HELP, configured
 from ndf_mi.errors import InputError
+from ndf_mi.run import QUADRATURE
 
 if TYPE_CHECKING:
     from ndf_mi.capture.capture import Capture
     from ndf_mi.field import Preset
+    from ndf_mi.learn.trainer import Trainer
 
 
 @dataclass
 class Optimise:
-    """Train a neural deformable field on a capture's training split. Interrupt it when you like; --resume goes on."""
+    """Train a neural deformable field on a capture's training split. Interrupt it at any time; --resume
+    continues."""
 
     capture: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
     """The capture's folder."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The run's folder: new or empty, or with --resume one made before."""
+    """The run's folder: new or empty, or an existing run with --resume."""
 
     preset: Annotated[str, tyro.conf.arg(help=f"Architecture: {PRESET_HELP}.")] = "fast"
 
     model: str | None = None
-    """`auto`: the architecture that the capture needs, as `ndf-mi plan` finds it; or a plan's file. In the place of --preset."""
+    """`auto`: the architecture that `ndf-mi plan` chooses for the capture; or the file of a plan. Replaces
+    --preset."""
 
-    ablation: Annotated[str, tyro.conf.arg(help=f"Take a part of the method away: one of {', '.join(ABLATION_NAMES)}.")] = "full"
+    ablation: Annotated[str, tyro.conf.arg(
+        help=f"Remove or replace a part of the method: one of {', '.join(ABLATION_NAMES)}.")] = "full"
 
     integrator: str = "ndf_quadrature"
-    """ndf_quadrature learns what is seen, with the light in it; prbvolpath learns density and albedo through scattering, under the
-    capture's known lighting, after `warm_up` steps by quadrature (see --option)."""
+    """ndf_quadrature: the field emits and absorbs, and contains the capture's light. prbvolpath: density and
+    albedo through scattering under the capture's known lighting, after `warm_up` steps by quadrature (see
+    --option)."""
 
     steps: int | None = None
-    """Steps in all; with prbvolpath, `warm_up` and 1,000 more by default."""
+    """Number of steps; with prbvolpath `warm_up` plus 1,000 by default."""
 
     seconds: float | None = None
-    """Time to train for; the learning rates' decay follows the clock."""
+    """Training time; the learning rates then decay with the clock."""
 
     seed: int | None = None
-    """Of weights, rays and jitter."""
+    """Seed of the initial parameters, rays and jitter."""
 
-    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME=VALUE", help=OPTION_HELP)] = ()
+    option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction,
+                      tyro.conf.arg(metavar="NAME=VALUE", help=OPTION_HELP)] = ()
 
     resume: bool = False
-    """Go on from the last checkpoint in the run's folder, with the options it was started with."""
+    """Continue from the last checkpoint in the run's folder, with the options that it was started with."""
 
     def run(self) -> int:
-        """Trains; prints where the run is and how well it fits its training rays."""
+        """Trains; prints where the run is and its error on the training rays."""
         from ndf_mi.capture.capture import Capture
-        from ndf_mi.field import preset as preset_of
-        from ndf_mi.learn.loop import resume, start, train
-        from ndf_mi.learn.scattering import QUADRATURE, relightable
+        from ndf_mi.learn.loop import train
 
         capture = Capture.read(self.capture)
-        if self.resume:
-            given = [name for name in ("steps", "seconds", "seed") if getattr(self, name) is not None]
-            defaults = {"ablation": "full", "integrator": QUADRATURE, "model": None, "preset": "fast"}
-            given += [name for name, default in defaults.items() if getattr(self, name) != default]
-            if given or self.option:
-                raise InputError("--resume", f"another option beside it (--{(given or ['option'])[0]})",
-                                 "none: a resumed run keeps the options it was started with")
-            trainer = resume(self.out, capture)
-        else:
-            chosen, plan = self._planned(capture)
-            preset, training = configured(
-                self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds, seed=self.seed,
-                integrator=self.integrator, planned=chosen)
-            if chosen is not None and training.atlas != "body":
-                raise InputError("--model", f"atlas={training.atlas} beside it",
-                                 "one of the two: a plan's grid is as fine as the body's own atlas needs it")
-            base = chosen or preset_of(self.preset)
-            changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
-            if changed:
-                print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours hold no light, densities are "
-                      "above 0, paths stay short")
-            trainer = start(self.out, capture, preset, training, plan)
+        trainer = self._resumed(capture) if self.resume else self._started(capture)
         try:
             train(trainer)
         except KeyboardInterrupt:
-            print(f"stopped at step {trainer.progress.step}; go on with: ndf-mi optimise {self.capture} -o {self.out} --resume")
+            print(f"stopped at step {trainer.progress.step}; continue with: "
+                  f"ndf-mi optimise {self.capture} -o {self.out} --resume")
             raise
         now = trainer.progress
         print(f"{self.out}: {now.step} steps in {now.seconds:.0f} s, {now.psnr:.2f} dB on the training rays")
         options = trainer.options
         if options.integrator != QUADRATURE and not trainer.run.scattered:
-            print(f"{options.integrator} has not begun: its turn comes after {options.warm_up} steps by quadrature (warm_up), and the "
-                  "colours still hold the light of the capture. Train anew, with more steps or seconds, or a smaller warm_up")
+            print(f"warning: {options.integrator} was not used, because it starts after {options.warm_up} "
+                  "steps by "
+                  "quadrature (warm_up); the colours still contain the capture's light. Train again with "
+                  "more steps "
+                  "or seconds, or with a smaller warm_up")
         return 0
 
-    def _planned(self, capture: Capture) -> tuple[Preset | None, dict[str, Any] | None]:
-        """The preset of the plan asked for, and the plan's JSON; None where none is."""
+    def _resumed(self, capture: Capture) -> Trainer:
+        from ndf_mi.learn.loop import resume
+
+        given = [name for name in ("steps", "seconds", "seed") if getattr(self, name) is not None]
+        defaults = {"ablation": "full", "integrator": QUADRATURE, "model": None, "preset": "fast",
+                    "option": ()}
+        given += [name for name, default in defaults.items() if getattr(self, name) != default]
+        if given:
+            raise InputError("--resume", f"it together with --{given[0]}", "no other option",
+                             "A resumed run keeps the options that it was started with.")
+        return resume(self.out, capture)
+
+    def _started(self, capture: Capture) -> Trainer:
+        from ndf_mi.field import preset as preset_of
+        from ndf_mi.learn.loop import start
+        from ndf_mi.learn.scattering import relightable
+
+        planned, plan = self._plan(capture)
+        preset, training = configured(
+            self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds,
+            seed=self.seed, integrator=self.integrator, planned=planned)
+        if planned is not None and training.atlas != "body":
+            raise InputError("--model", f"it together with atlas={training.atlas}", "one of the two",
+                             "A plan chooses the grid's resolution for the body's own atlas.")
+        base = planned or preset_of(self.preset)
+        changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
+        if changed:
+            print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours contain "
+                  "no light, "
+                  "densities are above 0 and paths stay short")
+        return start(self.out, capture, preset, training, plan)
+
+    def _plan(self, capture: Capture) -> tuple[Preset | None, dict[str, Any] | None]:
+        """The preset of the requested plan, and the plan as JSON values; None without --model."""
         if self.model is None:
             return None, None
         if self.preset != "fast":
-            raise InputError("--model", f"--preset {self.preset} beside it", "one of the two: a plan is of the preset fast")
+            raise InputError("--model", f"it together with --preset {self.preset}", "one of the two",
+                             "Plans start from the preset fast.")
         from ndf_mi.commands.plan_console import planned, printed
-        from ndf_mi.planning.plan import Settings, read_preset
+        from ndf_mi.planning.plan import PlanSettings, read_preset
 
         if self.model != "auto":
             return read_preset(Path(self.model), capture.digest)
-        plan = planned(capture, Settings())
+        plan = planned(capture, PlanSettings())
         print(printed(plan) + "\n")
         return plan.preset, plan.to_dict()

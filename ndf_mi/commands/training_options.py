@@ -1,4 +1,4 @@
-"""A preset and training options from a command line, with any entry changed by NAME=VALUE: for the commands that train."""
+"""A preset and training options from a command line, with single entries changed by NAME=VALUE."""
 
 from __future__ import annotations
 
@@ -7,23 +7,26 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from ndf_mi.deprecated import PRESET_FIELDS, TRAINING_FIELDS, rename_entry
 from ndf_mi.errors import InputError
 from ndf_mi.field import PRESETS, Preset, preset
 from ndf_mi.learn.ablations import ABLATIONS, ablation
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.scattering import QUADRATURE, SCATTERING_STEPS, check_integrator, relightable
+from ndf_mi.learn.scattering import SCATTERING_STEPS, check_integrator, relightable
+from ndf_mi.run import QUADRATURE
 
-#: Steps of a training that ends by the clock: more than it will take.
+#: Steps of a training that ends by the clock: more than it can take.
 UNLIMITED = 10**9
 _ARCHITECTURE = tuple(field.name for field in dataclasses.fields(Preset) if field.name != "name")
-_SCHEDULE = tuple(field.name for field in dataclasses.fields(TrainingOptions))
+_TRAINING = tuple(field.name for field in dataclasses.fields(TrainingOptions))
 
-NAMES = tuple(sorted({*_ARCHITECTURE, *_SCHEDULE}))
-"""What NAME may be."""
+NAMES = tuple(sorted({*_ARCHITECTURE, *_TRAINING}))
+"""The allowed values of NAME."""
 
 OPTION_HELP = (
-    "Any other entry of the preset or of the training options as NAME=VALUE, e.g. band=0.12 or rays=2048 or density_layers=[128,128]; "
-    f"may be given several times. NAME is one of {', '.join(NAMES)}."
+    "Any other entry of the preset or of the training options as NAME=VALUE, for example band=0.12, "
+    "rays=2048 or "
+    f"density_layers=[128,128]. Can be given several times. NAME is one of {', '.join(NAMES)}."
 )
 PRESET_HELP = f"one of {', '.join(PRESETS)}"
 ABLATION_NAMES = tuple(ABLATIONS)
@@ -40,42 +43,49 @@ def configured(
     integrator: str = QUADRATURE,
     planned: Preset | None = None,
 ) -> tuple[Preset, TrainingOptions]:
-    """The preset of that name and the options that go with it, first ablated, then changed.
+    """A preset and its training options, first ablated, then changed by the other arguments.
 
     Args:
-        preset_name: of `ndf_mi.field.PRESETS`.
-        entries: NAME=VALUE, VALUE in JSON but for text; later ones win, and all win over the arguments below.
-        ablation_name: of `ndf_mi.learn.ablations.ABLATIONS`.
-        integrator: what pixels are computed by; one of those that scatter brings a preset whose colours hold no light, and its own number
-            of steps.
-        planned: a preset in the place of the named one, `fast`, as a plan has it.
-        steps, seconds, seed: entries with options of their own; None leaves the preset's. With seconds alone, steps are without limit.
+        preset_name: a key of `ndf_mi.field.PRESETS`.
+        entries: NAME=VALUE, where VALUE is JSON or, for text, the text itself. Later entries override earlier
+            ones and the arguments below.
+        ablation_name: a key of `ndf_mi.learn.ablations.ABLATIONS`.
+        steps, seconds, seed: training options; None keeps the default. With `seconds` alone, steps are
+            unlimited.
+        integrator: `ndf_quadrature`, or a scattering integrator, which changes the preset so that colours
+            contain no light and sets a number of steps of its own.
+        planned: replaces the named preset; `preset_name` then only selects the training options.
 
     Raises:
-        InputError: no such preset, ablation, integrator or entry, or a value of another kind or outside its range.
+        InputError: which entry is wrong, and why.
     """
     check_integrator(integrator)
     if seconds is not None and not seconds > 0:
         raise InputError("--seconds", f"{seconds:g}", "a time above 0")
     training = TrainingOptions.paper() if preset_name == "paper" else TrainingOptions()
-    base, training = ablation(ablation_name).apply(preset(preset_name) if planned is None else planned, training)
+    base, training = ablation(ablation_name).apply(preset(preset_name) if planned is None else planned,
+                                                   training)
     if integrator != QUADRATURE:
         base = relightable(base)[0]
-        training = dataclasses.replace(training, integrator=integrator, steps=training.warm_up + SCATTERING_STEPS)
-    given = {"steps": UNLIMITED if steps is None and seconds is not None else steps, "seconds": seconds, "seed": seed}
+        training = dataclasses.replace(training, integrator=integrator,
+                                       steps=training.warm_up + SCATTERING_STEPS)
+    given = {"steps": UNLIMITED if steps is None and seconds is not None else steps, "seconds": seconds,
+             "seed": seed}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     for text in entries:
         name, equals, value = text.partition("=")
-        name = name.strip().replace("-", "_")
+        name = rename_entry(name.strip().replace("-", "_"), {**PRESET_FIELDS, **TRAINING_FIELDS})
         if not equals or name not in NAMES:
             raise InputError("--option", repr(text), "NAME=VALUE, NAME one of " + ", ".join(NAMES))
         changes[name] = _value(text, value, getattr(base if name in _ARCHITECTURE else training, name))
-    return (dataclasses.replace(base, **{name: value for name, value in changes.items() if name in _ARCHITECTURE}),
-            dataclasses.replace(training, **{name: value for name, value in changes.items() if name in _SCHEDULE}))
+    return (dataclasses.replace(base,
+                                **{name: value for name, value in changes.items() if name in _ARCHITECTURE}),
+            dataclasses.replace(training,
+                                **{name: value for name, value in changes.items() if name in _TRAINING}))
 
 
 def _value(text: str, value: str, current: Any) -> Any:
-    """Reads VALUE as the type that the option has now."""
+    """VALUE as the type of the option's current value."""
     if isinstance(current, str):
         return value
     try:
@@ -92,5 +102,6 @@ def _value(text: str, value: str, current: Any) -> Any:
         raise InputError("--option", repr(text), "true or false")
     if isinstance(current, int) and type(found) is int:
         return found
-    kind = "a list of whole numbers, as [64,64]" if isinstance(current, tuple) else f"a number such as {current}"
+    kind = "a list of whole numbers such as [64,64]" if isinstance(current,
+                                                                   tuple) else f"a number such as {current}"
     raise InputError("--option", repr(text), kind)

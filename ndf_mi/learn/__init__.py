@@ -1,1 +1,1 @@
-"""Fitting a field to a capture: rays, loss, schedule, loop, checkpoints."""
+"""Trains a field on a capture: batches, steps, losses, guards, checkpoints."""

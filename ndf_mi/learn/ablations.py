@@ -1,4 +1,4 @@
-"""The published ablations and two more, each as changes to a preset and to the training options."""
+"""The paper's ablations and two more, each as changes to the preset and the training options."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ndf_mi.learn.options import TrainingOptions
 
 @dataclass(frozen=True)
 class Ablation:
-    """One row of the table.
+    """One row of the ablation table.
 
     Attributes:
-        title: what the row is called.
-        meaning: what is taken away or exchanged, in a sentence.
-        preset: changes to the architecture.
-        training: changes to the training.
-        at_least: entries of the preset that are raised to these values where they are less.
+        title: the row's title.
+        meaning: what is removed or replaced, in a sentence.
+        preset: changes to the preset.
+        training: changes to the training options.
+        at_least: lower bounds on the preset's entries.
     """
 
     title: str
@@ -30,41 +30,48 @@ class Ablation:
     at_least: dict[str, float] = field(default_factory=dict)
 
     def apply(self, preset: Preset, options: TrainingOptions) -> tuple[Preset, TrainingOptions]:
-        """Preset and options of the ablated training."""
+        """Preset and training options with this ablation."""
         raised = {key: max(value, getattr(preset, key)) for key, value in self.at_least.items()}
         preset = dataclasses.replace(preset, **raised)
         return dataclasses.replace(preset, **self.preset), dataclasses.replace(options, **self.training)
 
 
-#: A sheet of a centimetre around the skin, in which nothing changes along l: as thin as samples can be trusted to meet.
-#: Its density may be higher, so that so thin a sheet can be opaque, and the term against density at the band's edge is out of place.
-_NAKED = {"distance": "none", "band": 0.005, "band_inside": 0.005, "band_fade": 0.0, "sample_factor": 4}
+#: A layer of one centimetre around the skin in which nothing depends on l. A thinner one would be missed by
+#: samples. Its density limit is higher, so that a thin layer can be opaque; it consists of edge only, so the
+#: edge term is off.
+_SKIN_LAYER = {"distance": "none", "band": 0.005, "band_inside": 0.005, "band_fade": 0.0, "sample_factor": 4}
 
 ABLATIONS: dict[str, Ablation] = {
-    "full": Ablation("full model", "nothing is taken away"),
+    "full": Ablation("full model", "nothing is removed"),
     "naked": Ablation(
         "naked model",
-        "l = 0: density and colour live on the body's surface alone, a sheet of a centimetre, met by four times as many samples",
-        _NAKED, {"edge_weight": 0.0}, {"density_limit": 2000.0},
-    ),
-    "no-pose": Ablation("without pose", "the pose vector reaches no network: one field for all frames, but for light on the turning normal",
-                        {"pose_layers": ()}),
+        "l = 0: density and colour exist only on the body's surface, in a layer of one centimetre with four "
+        "times as "
+        "many samples", _SKIN_LAYER, {"edge_weight": 0.0}, {"density_limit": 2000.0}),
+    "no-pose": Ablation(
+        "without pose",
+        "no network sees the pose: one field for all frames, except for the light on the turning normal",
+        {"pose_layers": ()}),
     "no-projection": Ablation(
-        "without projection", "(x, y, z) in place of (u, v, l); nothing of the closest point reaches a network, and the pose, by which "
-        "alone they know where the body is, has no noise",
-        {"coordinates": "world", "normal_octaves": -1, "direction": "view"}, {"pose_noise": 0.0},
-    ),
-    "no-deform": Ablation("without deformation", "no deformation net between projection and field", {"deformation_layers": ()}),
-    "one-piece": Ablation("one-piece atlas", "the body is cut open into one chart of texture coordinates", training={"atlas": "one-piece"}),
-    "unsigned": Ablation("unsigned distance", "|l| in place of l", {"distance": "unsigned"}),
-    "surface-point": Ablation(
-        "surface point", "the closest point on the body at rest and l in place of (u, v, l)", {"coordinates": "surface"}
-    ),
+        "without projection",
+        "(x, y, z) replaces (u, v, l), and no network sees the closest point; the pose, the only input that "
+        "says "
+        "where the body is, has no noise",
+        {"coordinates": "world", "normal_octaves": -1, "direction": "view"}, {"pose_noise": 0.0}),
+    "no-deform": Ablation("without deformation", "no deformation network between projection and field",
+                          {"deformation_layers": ()}),
+    "one-piece": Ablation("one-piece atlas",
+                          "the body is cut open into a single chart of texture coordinates",
+                          training={"atlas": "one-piece"}),
+    "unsigned": Ablation("unsigned distance", "|l| replaces l", {"distance": "unsigned"}),
+    "surface-point": Ablation("surface point",
+                              "the closest point on the body at rest and l replace (u, v, l)",
+                              {"coordinates": "surface"}),
 }
 
 
 def ablation(name: str) -> Ablation:
-    """The ablation of that name. Raises InputError naming those there are."""
+    """The ablation of that name. Raises InputError, which lists the names, if there is none."""
     if name not in ABLATIONS:
         raise InputError("ablation", repr(name), "one of " + ", ".join(ABLATIONS))
     return ABLATIONS[name]

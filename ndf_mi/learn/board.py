@@ -12,7 +12,8 @@ EXTRA = "tensorboard"
 
 
 class Board:
-    """Writes scalars to an event file in a run's folder; without tensorboardX it prints how to install it, and writes nothing.
+    """Writes scalars to an event file in a run's folder; without tensorboardX it prints how to install it,
+    and writes nothing.
 
     Args:
         folder: the run's folder.
@@ -26,7 +27,8 @@ class Board:
         except InputError:
             self._writer = None
             if not quiet:
-                print(f"no TensorBoard events will be written; they need: {install_command(EXTRA)}", file=sys.stderr)
+                print(f"no TensorBoard events will be written; they need: {install_command(EXTRA)}",
+                      file=sys.stderr)
 
     def scalar(self, name: str, value: float, step: int) -> None:
         """Adds the value of a scalar at a step."""

@@ -1,4 +1,5 @@
-"""Keeps a training sound: a step whose gradient is not finite, or that would make weights so, is not taken."""
+"""Refuses training steps that would leave parameters that are not finite, and returns to the last good
+state."""
 
 from __future__ import annotations
 
@@ -11,110 +12,127 @@ import mitsuba as mi
 from ndf_mi.errors import InputError
 
 KEEP_EVERY = 100
-"""Steps after which the optimisers' state is kept as one to go back to."""
+"""Steps between two snapshots of the optimisers' state."""
 PATIENCE = 8
-"""Refused steps, without a state kept in between, after which training stops."""
+"""Number of refused steps since the last snapshot after which training stops."""
 FACTOR = 0.5
-"""On the learning rates, at each refused step."""
+"""Factor on the learning rates at each refused step."""
 RECOVERY = 10
-"""States kept, without a refused step in between, after which the rates are doubled again, up to what was asked for."""
+"""Number of snapshots in a row, without a refused step, after which the rates double again, up to the
+requested ones."""
 
 HARMLESS = 1e30
-"""Learning rates below which no step leads out of the range of floats: Adam's are at most ten rates long."""
+"""Learning rates below which a single step cannot overflow float32: an Adam step is at most ten rates
+long."""
 
 
 class Guard:
-    """Watches over the optimisers of a training.
+    """Watches the optimisers of a training.
 
-    A step is sound if the loss and the sum of squares of all gradients are finite: then neither a weight nor Adam's second moment, which
-    holds those squares, can become otherwise, but at rates near the end of the range of floats: there the weights are looked at after the
-    step. At one that is not sound, the optimisers go back to the last state kept, and the rates are halved.
-    A state is kept only once a step from it has proved sound.
+    A step is taken if the loss and the sum of squares of all gradients are finite. Then neither the
+    parameters nor Adam's second moments, which hold those squares, can overflow, except at rates near the
+    largest float: there the parameters are checked after the step. When a step is refused, the optimisers
+    return to the last snapshot and the learning rates are halved. A snapshot is taken only of a state whose
+    next step has finite gradients.
 
-    What it knows is not part of a checkpoint but for `factor` and `refused`: a training resumed between a kept state and a refused step
-    goes back to the checkpoint instead.
+    Of the guard's state, checkpoints hold only `rate_factor` and `steps_refused`: a resumed training returns
+    to its checkpoint instead of the snapshot.
 
     Args:
-        optimisers: as many ``mi.ad.Adam`` as the training has.
+        optimisers: the training's ``mi.ad.Adam`` instances.
 
     Attributes:
-        factor: on the learning rates, 1 as long as every step was sound.
-        refused: number of steps refused so far.
+        rate_factor: factor on the learning rates; 1 until a step is refused.
+        steps_refused: number of steps refused so far.
     """
 
     def __init__(self, optimisers: list[Any]) -> None:
         self._optimisers = optimisers
-        self.factor = 1.0
-        self.refused = 0
-        self._in_a_row = 0
-        self._calm = 0
-        self._proved = -1
-        self.keep()
+        self.rate_factor = 1.0
+        self.steps_refused = 0
+        self._refused_since_snapshot = 0
+        self._snapshots_in_a_row = 0
+        self._last_stable = -1
+        self.snapshot()
 
-    def keep(self) -> None:
-        """Takes the present state as the one to go back to. Arrays are shared, not copied."""
-        self._states = [{key: _detached(entry) for key, entry in optimiser.state.items()} for optimiser in self._optimisers]
+    def snapshot(self) -> None:
+        """Keeps the present state as the one to return to. Arrays are shared, not copied."""
+        self._states = [{key: _detached(entry) for key, entry in optimiser.state.items()}
+                        for optimiser in self._optimisers]
 
-    def follow(self, other: Guard) -> None:
-        """Takes over what a guard of optimisers that these replace has come to: its count, and its factor on the rates."""
-        self.factor, self.refused = other.factor, other.refused
+    def inherit(self, other: Guard) -> None:
+        """Takes over the rate factor and the count of a guard whose optimisers these ones replace."""
+        self.rate_factor, self.steps_refused = other.rate_factor, other.steps_refused
 
-    def sound(self, loss: mi.Float) -> bool:
-        """Whether a step can be taken: to be asked when the gradients are there and the optimisers have not used them yet. `loss` is one
-        number."""
+    def gradients_finite(self, loss: mi.Float) -> bool:
+        """Whether the step can be taken. Call it after the backward pass and before the optimisers' step.
+
+        Args:
+            loss: one number.
+        """
         total = mi.Float(loss)
-        for optimiser in self._optimisers:
-            for key in optimiser.keys():  # noqa: SIM118 - not a dict
-                total = total + dr.sum(dr.square(dr.grad(optimiser[key])))
+        for optimiser, key in self._parameters():
+            total = total + dr.sum(dr.square(dr.grad(optimiser[key])))
         return math.isfinite(float(dr.detach(total)[0]))
 
-    def proved(self, step: int) -> None:
-        """To be called where the step from the present state has proved sound, before it is taken.
+    def mark_stable(self, step: int) -> None:
+        """Records that the step from the present state has finite gradients. Call it before that step is
+        taken.
 
         Args:
-            step: how many steps have been taken.
+            step: number of steps taken so far.
         """
-        # A step that is tried again has proved nothing new.
-        if step % KEEP_EVERY or step == self._proved:
+        # A repeated step is no new evidence.
+        if step % KEEP_EVERY or step == self._last_stable:
             return
-        self._proved = step
-        self.keep()
-        self._in_a_row = 0
-        self._calm += 1
-        if self._calm >= RECOVERY:
-            self.factor = min(1.0, self.factor / FACTOR)
-            self._calm = 0
+        self._last_stable = step
+        self.snapshot()
+        self._refused_since_snapshot = 0
+        self._snapshots_in_a_row += 1
+        if self._snapshots_in_a_row >= RECOVERY:
+            self.rate_factor = min(1.0, self.rate_factor / FACTOR)
+            self._snapshots_in_a_row = 0
 
-    def landed(self, rate: float) -> bool:
-        """Whether all values are finite after the step just taken, at rates of at most `rate`: looked at only where it may be otherwise."""
+    def params_finite(self, rate: float) -> bool:
+        """Whether all parameters are finite after a step at learning rates of at most `rate`.
+
+        Reads the parameters only where `rate` is so large that they could have overflowed.
+        """
         if rate < HARMLESS:
             return True
-        return all(bool(dr.all(dr.isfinite(optimiser[key]))) for optimiser in self._optimisers for key in optimiser.keys())  # noqa: SIM118
+        return all(bool(dr.all(dr.isfinite(optimiser[key]))) for optimiser, key in self._parameters())
 
     def refuse(self, step: int) -> None:
-        """To be called in place of a step that is not sound: goes back, and makes the rates smaller.
+        """Returns to the last snapshot and halves the learning rates.
 
         Args:
-            step: the step's number, for the message.
+            step: the refused step's number, for the message.
 
         Raises:
-            InputError: that has not helped; the optimisers are at the last state kept.
+            InputError: smaller rates have not helped; the optimisers hold the last snapshot.
         """
-        self.refused += 1
-        self._in_a_row += 1
-        self._calm = 0
+        self.steps_refused += 1
+        self._refused_since_snapshot += 1
+        self._snapshots_in_a_row = 0
         for optimiser, state in zip(self._optimisers, self._states, strict=True):
             for key, (value, promoted, rate, moments) in state.items():
-                # Setting a value tracks its gradients anew.
+                # Assigning a value enables its gradients again.
                 optimiser[key] = value
                 optimiser.state[key] = (optimiser.state[key][0], promoted, rate, moments)
-        if self._in_a_row > PATIENCE:
+        if self._refused_since_snapshot > PATIENCE:
             raise InputError(
-                f"step {step}", f"{PATIENCE} steps refused of late, because loss, gradient or the weights after it were not finite",
-                "a training that goes on at smaller steps",
-                f"The learning rate has come down to {self.factor:g} of what was asked for, in vain: start another run with a smaller one, "
-                "`--option learning_rate=...`.")
-        self.factor *= FACTOR
+                f"step {step}",
+                f"{PATIENCE} refused steps: the loss, its gradients or the updated parameters were not "
+                "finite",
+                "a training that continues with smaller steps",
+                f"The learning rate was reduced to {self.rate_factor:g} of the requested one without "
+                "success. Start "
+                "another run with a smaller one: `--option learning_rate=...`.")
+        self.rate_factor *= FACTOR
+
+    def _parameters(self) -> list[tuple[Any, str]]:
+        return [(optimiser, key) for optimiser in self._optimisers
+                for key in optimiser.keys()]  # noqa: SIM118
 
 
 def _detached(entry: tuple[Any, ...]) -> tuple[Any, ...]:

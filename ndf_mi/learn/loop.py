@@ -1,4 +1,4 @@
-"""A whole training: new or resumed, with a progress bar, logs, TensorBoard and checkpoints."""
+"""A whole training, new or resumed: progress bar, metrics, TensorBoard, checkpoints and signals."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import Preset
 from ndf_mi.learn.board import Board
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.scattering import QUADRATURE, ScatteringTrainer, check_integrator
+from ndf_mi.learn.scattering import check_integrator
 from ndf_mi.learn.trainer import STATE, Trainer
 from ndf_mi.run import Run
 
@@ -33,28 +33,30 @@ _LOG_EVERY = 50
 
 def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, options: TrainingOptions,
           plan: dict[str, Any] | None = None) -> Trainer:
-    """A new run in a folder that does not exist yet or is empty.
+    """Creates a run in a new or empty folder.
 
     Args:
         path: the folder.
-        capture: what to learn from.
+        capture: what to train on.
         preset, options: architecture and training.
-        plan: what the preset follows from, as JSON values, for the run's `config.json`.
+        plan: the plan that the preset comes from, as JSON values, to be recorded in the run's `config.json`.
 
     Raises:
-        InputError: the folder holds something; there is no such integrator, or it finds no light in the capture. Nothing is written then.
+        InputError: the folder is not empty, the integrator does not exist, or the capture cannot be trained
+            on with it. Nothing is written then.
     """
     check_integrator(options.integrator)
     folder = Path(path)
-    # A run that was stopped while it was first written has no config.json yet.
+    # What a run holds that was killed while it was first written: config.json comes last.
     unfinished = {"body.npz", "poses.npz", "field.safetensors"}
     if folder.exists() and (not folder.is_dir()
-                            or {file.name for file in folder.iterdir() if not files.is_left_over(file)} - unfinished):
+                            or {file.name
+                                for file in folder.iterdir() if not files.is_left_over(file)} - unfinished):
         raise InputError(folder, "something there already", "a new or empty folder",
-                         "Go on with what is there by --resume, or take another folder.")
+                         "Continue the run that is there with --resume, or choose another folder.")
     body = capture.body
     if options.atlas == "one-piece":
-        from ndf_mi.body.atlas import with_one_piece
+        from ndf_mi.body.atlas import with_one_piece  # needs packages that other trainings do not
 
         body = with_one_piece(body, capture.poses.vertices[0] if body.template is None else None)
     run = Run.create(
@@ -63,20 +65,16 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
         capture={"name": capture.name, "digest": capture.digest},
         training=options.to_dict(),
         **({} if plan is None else {"plan": plan}),
-        made_by={"ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__, "python": platform.python_version(),
-                 "variant": mi.variant()},
+        made_by={"ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__,
+                 "python": platform.python_version(), "variant": mi.variant()},
     )
-    trainer = _trainer(run, capture, options)
+    trainer = Trainer(run, capture, options)
     run.save()
     return trainer
 
 
-def _trainer(run: Run, capture: Capture, options: TrainingOptions) -> Trainer:
-    return (Trainer if options.integrator == QUADRATURE else ScatteringTrainer)(run, capture, options)
-
-
 def resume(path: str | os.PathLike[str], capture: Capture) -> Trainer:
-    """The run in a folder, at its last checkpoint, with the options it was started with.
+    """Loads a run at its last checkpoint, with the options that it was started with.
 
     Raises:
         InputError: there is no run, it was trained on another capture, or its state cannot be read.
@@ -86,15 +84,15 @@ def resume(path: str | os.PathLike[str], capture: Capture) -> Trainer:
     expect_capture(run, capture)
     training = run.config.get("training")
     if not isinstance(training, dict):
-        raise InputError(f"{config}: training", repr(training), "the options it was started with")
+        raise InputError(f"{config}: training", repr(training), "the options that it was started with")
     options = TrainingOptions.from_dict(training, f"{config}: training")
     check_integrator(options.integrator)
-    trainer = _trainer(run, capture, options)
+    trainer = Trainer(run, capture, options)
     if (run.path / STATE).exists():
         trainer.restore()
     elif (run.path / "metrics.jsonl").exists():
-        raise InputError(run.path / STATE, "no such file", "the training state to go on from",
-                         "The run can be rendered, but not trained further: start another.")
+        raise InputError(run.path / STATE, "no such file", "the training state to resume from",
+                         "The run can be rendered but not trained further: start another.")
     _truncate_log(run.path / "metrics.jsonl", trainer.progress.step)
     return trainer
 
@@ -104,70 +102,97 @@ def expect_capture(run: Run, capture: Capture) -> None:
     known = run.config.get("capture")
     known = known if isinstance(known, dict) else {}
     if known.get("digest") != capture.digest:
-        raise InputError(capture.path, f"the capture {capture.name!r} (digest {capture.digest[:12]})",
-                         f"the one that {run.path} was trained on, {known.get('name')!r} (digest {str(known.get('digest'))[:12]})")
+        raise InputError(
+            capture.path, f"the capture {capture.name!r} (digest {capture.digest[:12]})",
+            f"the capture that {run.path} was trained on, {known.get('name')!r} (digest "
+            f"{str(known.get('digest'))[:12]})")
 
 
 def train(trainer: Trainer, quiet: bool = False) -> None:
-    """Trains to the end, or until SIGINT or SIGTERM: then the step under way is finished, the state saved, and KeyboardInterrupt
-    raised. Where training is given up, the last state from which a step was sound is saved. Whatever else goes wrong, the last
-    checkpoint stays.
+    """Trains to the end, or until SIGINT or SIGTERM.
+
+    A signal lets the present step finish, saves the state and raises KeyboardInterrupt. If too many steps are
+    refused, the last good state is saved. After any other error the last checkpoint remains.
 
     Raises:
-        KeyboardInterrupt: stopped by a signal.
-        InputError: steps were refused time and again because their gradients were not finite.
+        KeyboardInterrupt: a signal arrived.
+        InputError: too many steps were refused because they were not finite.
     """
     folder = trainer.run.path
-    options = trainer.options
-    saved = time.perf_counter()
-    columns = (TextColumn("training"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"), TextColumn("{task.fields[facts]}"),
-               TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+    last_save = time.perf_counter()
     board = Board(folder, trainer.progress.step, quiet)
     try:
-        hidden = quiet or not sys.stderr.isatty()
-        with _Signals() as signals, Progress(*columns, disable=hidden) as bar, open(folder / "metrics.jsonl", "a") as log:
-            task = bar.add_task("training", total=1.0, facts="", left="")
-            bar.update(task, completed=trainer.done)
-            begun, begun_at = trainer.done, time.perf_counter()
+        with _Signals() as signals, _Bar(trainer, quiet) as bar, open(folder / "metrics.jsonl", "a") as log:
             while trainer.done < 1 and not signals.received:
                 taken = trainer.progress.step
                 try:
                     trainer.step()
                 except InputError as error:
-                    _leave(trainer)
-                    raise InputError(error.where, error.found, error.expected,
-                                     f"{error.repair} The last good state is in {folder}: it can be rendered, and --resume "
-                                     "goes on from it as slowly as it came to be.".lstrip()) from error
+                    _finish(trainer)
+                    raise InputError(
+                        error.where, error.found, error.expected,
+                        f"{error.repair} The last good state is in {folder}: it can be rendered, and "
+                        "--resume "
+                        "continues from it with the reduced rates.".lstrip()) from error
                 now = trainer.progress
                 if now.step == taken:
-                    bar.console.print(f"step {now.step + 1} is not taken: its gradient, or the weights after it, would not be finite. "
-                                      f"Going on from an earlier state at {now.rate_factor:g} of the learning rate")
+                    print(f"step {taken + 1} refused: its loss, gradients or parameters were not finite; "
+                          "continuing "
+                          f"from the last good state with learning rates × {now.rate_factor:g}", flush=True)
                     continue
                 if now.step % _LOG_EVERY == 0 or trainer.done >= 1:
                     _log(log, board, trainer)
-                    rate = (trainer.done - begun) / (time.perf_counter() - begun_at)
-                    left = (1 - trainer.done) / rate if rate > 0 else math.inf
-                    bar.update(task, completed=trainer.done, facts=f"step {now.step}  {now.psnr:.2f} dB", left=f"{left:.0f} s left")
-                if time.perf_counter() - saved > options.checkpoint_seconds:
+                    bar.show()
+                if time.perf_counter() - last_save > trainer.options.checkpoint_seconds:
                     trainer.save()
-                    saved = time.perf_counter()
-        _leave(trainer)
+                    last_save = time.perf_counter()
+        _finish(trainer)
     finally:
         board.close()
     if signals.received:
         raise KeyboardInterrupt
 
 
-def _leave(trainer: Trainer) -> None:
-    """Saves the state, and how far it has come."""
+def _finish(trainer: Trainer) -> None:
+    """Saves the state, and in `config.json` how far the training came."""
     trainer.save()
     run, now = trainer.run, trainer.progress
     run.config["trained"] = {"steps": now.step, "seconds": now.seconds, "done": trainer.done >= 1}
     files.write_json(run.path / "config.json", run.config)
 
 
+class _Bar:
+    """A progress bar with the time remaining; hidden where standard error is no terminal."""
+
+    def __init__(self, trainer: Trainer, quiet: bool) -> None:
+        columns = (TextColumn("training"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
+                   TextColumn("{task.fields[psnr]}"), TimeElapsedColumn(),
+                   TextColumn("{task.fields[remaining]}"))
+        self._trainer = trainer
+        self._bar = Progress(*columns, disable=quiet or not sys.stderr.isatty())
+        self._task = self._bar.add_task("training", total=1.0, psnr="", remaining="")
+        self._bar.update(self._task, completed=trainer.done)
+        self._first, self._started = trainer.done, time.perf_counter()
+
+    def __enter__(self) -> _Bar:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def show(self) -> None:
+        """Shows the present state."""
+        done, now = self._trainer.done, self._trainer.progress
+        rate = (done - self._first) / (time.perf_counter() - self._started)
+        remaining = (1 - done) / rate if rate > 0 else math.inf
+        self._bar.update(self._task, completed=done, psnr=f"step {now.step}  {now.psnr:.2f} dB",
+                         remaining=f"{remaining:.0f} s left")
+
+
 class _Signals:
-    """Notes SIGINT and SIGTERM while in its block, in place of their usual effect. A second one has its usual effect."""
+    """Records SIGINT and SIGTERM in its block instead of their usual effect. A second signal has the usual
+    effect."""
 
     def __init__(self) -> None:
         self.received = False
@@ -176,32 +201,33 @@ class _Signals:
     def __enter__(self) -> _Signals:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
+                self._before[number] = signal.signal(number, self._record)
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _note(self, number: int, _frame: object) -> None:
+    def _record(self, number: int, _frame: object) -> None:
         self.received = True
         signal.signal(number, self._before[number])
 
 
 def _log(log: TextIO, board: Board, trainer: Trainer) -> None:
     now = trainer.progress
-    row = {"step": now.step, "seconds": round(now.seconds, 3), "loss": now.error, "psnr": round(now.psnr, 4), "samples": now.evaluated}
+    row = {"step": now.step, "seconds": round(now.seconds, 3), "loss": now.error, "psnr": round(now.psnr, 4),
+           "samples": now.evaluated}
     if now.box_psnr is not None:
         row["box_psnr"] = round(now.box_psnr, 4)
-    if now.refused:
-        row |= {"refused": now.refused, "rate_factor": now.rate_factor}
+    if now.steps_refused:
+        row |= {"refused": now.steps_refused, "rate_factor": now.rate_factor}
     print(json.dumps(row), file=log, flush=True)
     for name in ("loss", "psnr", "samples"):
         board.scalar(f"training/{name}", row[name], now.step)
 
 
 def _truncate_log(path: Path, step: int) -> None:
-    """Drops logged steps beyond `step`: those after the last checkpoint are taken again."""
+    """Drops rows after `step`: the steps after the last checkpoint will be taken again."""
     if not path.exists():
         return
     kept = []

@@ -1,4 +1,4 @@
-"""What training minimises."""
+"""The training losses."""
 
 from __future__ import annotations
 
@@ -14,8 +14,14 @@ from ndf_mi.render.quadrature import Radiance
 
 @dataclass
 class Loss:
-    """`total` to be minimised, attached; `image` the mean squared error in sRGB, and `box` that of the rays drawn from the body's box
-    alone, NaN where there are none, None where it was not asked for; detached."""
+    """One number each.
+
+    Attributes:
+        total: to be minimised; attached.
+        image: mean squared error in sRGB, detached.
+        box: the same over the rays drawn from the whole box; NaN without such rays, None where `in_box` was
+            not given.
+    """
 
     total: mi.Float
     image: mi.Float
@@ -23,56 +29,75 @@ class Loss:
 
 
 class ImageLoss:
-    """Mean squared error in sRGB over the rays, plus what keeps opacity to the mask and density off the band's edge.
+    """Mean squared error in sRGB, plus terms that tie opacity to the mask and keep density off the band's
+    edge.
 
-    Composited in linear light over the background: C = L + (1 − opacity)·B.
+    Colours are composited in linear light over the background B: C = L + (1 − opacity)·B.
+
+    Args:
+        options: `opacity_weight` and `edge_weight` are used.
+        background: sRGB.
+        band: the band's half width in metres.
+        density_gain: of the preset; the unit of the edge term.
     """
 
-    def __init__(self, options: TrainingOptions, background: mi.Color3f, band: float, density_gain: float) -> None:
-        self._options = options
+    def __init__(self, options: TrainingOptions, background: mi.Color3f, band: float,
+                 density_gain: float) -> None:
+        self._opacity_weight = options.opacity_weight
+        self._edge_weight = options.edge_weight / density_gain
         self._background = srgb_to_linear(mi.Color3f(background))
         dr.make_opaque(self._background)
         self._edge = 0.8 * band
-        self._edge_scale = options.edge_weight / density_gain
-        self._edge_on = dr.opaque(mi.Float, 0.0)
 
-    def __call__(self, seen: Radiance, target: mi.Color3f, mask: mi.Float, sure: mi.Float,
-                 in_box: mi.Float | None = None) -> Loss:
-        """Loss of N rays against `target` (sRGB) and, where `sure` is 1 rather than 0, `mask` (1 on the performer); `in_box` is 1 for the
-        rays drawn from the body's box, else 0."""
-        colour = linear_to_srgb(seen.colour + (1.0 - seen.opacity) * self._background)
+    def __call__(self, radiance: Radiance, target: mi.Color3f, mask: mi.Float, mask_valid: mi.Float,
+                 in_box: mi.Float | None = None, edge_active: bool = False) -> Loss:
+        """The loss of N rays.
+
+        Args:
+            radiance: what the rays see.
+            target: sRGB.
+            mask: 1 on the performer, else 0.
+            mask_valid: 1 where the opacity is compared with the mask, else 0.
+            in_box: 1 for the rays drawn from the whole box, else 0.
+            edge_active: whether the edge term counts.
+        """
+        colour = linear_to_srgb(radiance.colour + (1.0 - radiance.opacity) * self._background)
         error = dr.squared_norm(colour - target) / 3.0
         image, detached = dr.mean(error), dr.detach(error)
         box = None if in_box is None else dr.sum(dr.select(in_box > 0, detached, 0.0)) / dr.sum(in_box)
-        return Loss(image + self.shape(seen, mask, sure), dr.detach(image), box)
+        return Loss(image + self.density_terms(radiance, mask, mask_valid, edge_active), dr.detach(image),
+                    box)
 
-    def shape(self, seen: Radiance, mask: mi.Float, sure: mi.Float) -> mi.Float:
-        """The loss's terms in the density alone: opacity against `mask` where `sure` is 1, and density near the band's edge."""
+    def density_terms(self, radiance: Radiance, mask: mi.Float, mask_valid: mi.Float,
+                      edge_active: bool) -> mi.Float:
+        """The terms in the density alone: opacity against the mask, and density near the band's edge."""
         total = mi.Float(0.0)
-        if self._options.opacity_weight > 0:
-            total = total + self._options.opacity_weight * dr.mean(sure * dr.square(seen.opacity - mask))
-        if self._options.edge_weight > 0:
-            at_edge = seen.inside & (dr.abs(dr.detach(seen.samples.u.z)) > self._edge)
+        if self._opacity_weight > 0:
+            total = total + self._opacity_weight * dr.mean(mask_valid * dr.square(radiance.opacity - mask))
+        if self._edge_weight > 0:
+            at_edge = radiance.inside & (dr.abs(dr.detach(radiance.samples.u.z)) > self._edge)
             count = dr.maximum(dr.sum(dr.select(at_edge, mi.Float(1), 0.0)), 1.0)
-            density = dr.sum(dr.select(at_edge, seen.samples.sigma, 0.0)) / count
-            total = total + (self._edge_scale * self._edge_on) * density
+            density = dr.sum(dr.select(at_edge, radiance.samples.sigma, 0.0)) / count
+            # Opaque, so that switching the term on compiles nothing.
+            total = total + (self._edge_weight * dr.opaque(mi.Float, float(edge_active))) * density
         return total
-
-    def observe(self, image_error: float) -> None:
-        """Turns the edge term on or off by a smoothed image error, as the paper does."""
-        self._edge_on = dr.opaque(mi.Float, 1.0 if image_error < self._options.edge_below else 0.0)
 
 
 class NoisyLoss:
-    """Mean squared error of the mean of noisy estimates, without the bias that their variance puts on a square.
+    """Mean squared error of the mean of noisy estimates, without the bias that their variance adds to a
+    square.
 
-    The square of an estimate's error has the mean (E f − t)² + Var f, and a gradient to match: it would be made small by less noise, which
-    thinner or darker media have. Here each estimate is multiplied with the others' mean error instead, which is independent of it:
+    The square of an estimate's error has the mean (E f − t)² + Var f. Its gradient also reduces the variance,
+    which thinner or darker media have less of. Here each estimate's error is multiplied with the mean error
+    of the others, which is independent of it:
 
         Σ_i (f_i − t)·(mean_{j≠i} f_j − t) / n,    whose mean is (E f − t)²
 
-    The error is taken in sRGB to first order: linear, times the slope of the curve at the target. An error in sRGB would be no function
-    of E f alone.
+    The error is taken in sRGB to first order: the linear error times the slope of the sRGB curve at the
+    target. The error in sRGB itself would not be a function of E f alone.
+
+    Args:
+        samples: estimates a ray, at least 2.
     """
 
     def __init__(self, samples: int) -> None:
@@ -82,12 +107,12 @@ class NoisyLoss:
         """Loss and its derivatives in the estimates.
 
         Args:
-            estimates: (N·samples) linear radiance, a ray's beside one another, detached.
+            estimates: (N·samples) linear radiance, ray by ray, detached.
             target: (N) sRGB.
 
         Returns:
-            the error, one number, an estimate without bias that may be below 0; (N·samples) what to multiply the derivatives of the
-            estimates with.
+            the loss, one number, an unbiased estimate that can be below 0; and its (N·samples) derivatives
+            in the estimates.
         """
         samples, width = self._samples, dr.width(estimates)
         parent = dr.arange(mi.UInt32, width) // samples
@@ -97,7 +122,8 @@ class NoisyLoss:
         for channel in range(3):
             total = dr.block_sum(estimates[channel], samples)
             others = (dr.gather(mi.Float, total, parent) - estimates[channel]) / (samples - 1)
-            aim, weight = dr.gather(mi.Float, linear[channel], parent), dr.square(dr.gather(mi.Float, slope[channel], parent))
+            aim = dr.gather(mi.Float, linear[channel], parent)
+            weight = dr.square(dr.gather(mi.Float, slope[channel], parent))
             adjoint[channel] = 2.0 * weight * (others - aim) / (3 * width)
             error = error + 0.5 * dr.sum(adjoint[channel] * (estimates[channel] - aim))
         dr.eval(error, adjoint)
@@ -106,4 +132,5 @@ class NoisyLoss:
 
 def _slope(linear: mi.Color3f) -> mi.Color3f:
     """The derivative of the sRGB curve at linear values from 0 on."""
-    return dr.select(linear <= 0.0031308, 12.92, (1.055 / 2.4) * dr.power(dr.maximum(linear, 0.0031308), 1 / 2.4 - 1))
+    return dr.select(linear <= 0.0031308, 12.92,
+                     (1.055 / 2.4) * dr.power(dr.maximum(linear, 0.0031308), 1 / 2.4 - 1))

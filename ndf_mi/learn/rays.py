@@ -1,4 +1,4 @@
-"""Which rays a step sees: pixels of a frame, drawn from the masks and from the body's padded box."""
+"""Pixels of the training images as rays, drawn from the masks and from the body's padded box."""
 
 from __future__ import annotations
 
@@ -16,23 +16,48 @@ from ndf_mi.learn.options import TrainingOptions
 
 @dataclass(frozen=True)
 class RayBatch:
-    """R rays of one frame, numpy float32: `origin` and unit `direction` (3, R) in world space, `target` (3, R) sRGB in [0, 1],
-    `mask` (R,) 1 on the performer, else 0, `sure` (R,) 1 where the mask says what the opacity is, else 0, and `in_box` (R,) 1 where the
-    pixel was drawn from all of the body's box, 0 where from the mask: what is not as frequent as it is in a picture."""
+    """R rays of one frame as float32 arrays.
+
+    Attributes:
+        frame: the frame's number.
+        origin, direction: (3, R) world space; directions have unit length.
+        target: (3, R) sRGB in [0, 1].
+        mask: (R,) 1 on the performer, else 0.
+        mask_valid: (R,) 1 where the mask gives the opacity, 0 near its edge, where pixels are partly covered.
+        in_box: (R,) 1 for pixels drawn from the whole box, 0 for those drawn from the mask, which are drawn
+            more often than they occur in an image.
+    """
 
     frame: int
     origin: np.ndarray
     direction: np.ndarray
     target: np.ndarray
     mask: np.ndarray
-    sure: np.ndarray
+    mask_valid: np.ndarray
     in_box: np.ndarray
 
 
-class RaySampler:
-    """Draws batches of rays from all cameras of one frame at a time.
+@dataclass(frozen=True)
+class _View:
+    """One training image: 8-bit colours, masks, and the indices of the pixels that may be drawn."""
 
-    Images are kept in memory as 8-bit values, and so are the indices of the pixels that may be drawn.
+    image: np.ndarray
+    mask: np.ndarray
+    mask_valid: np.ndarray
+    mask_pixels: np.ndarray
+    box_pixels: np.ndarray
+
+
+class RaySampler:
+    """Draws batches of rays, each from all cameras of one random frame. All images are held in memory.
+
+    Args:
+        capture: the capture.
+        split: cameras and frames to draw from.
+        options: `rays`, `mask_share`, `edge_kernel`, `opacity_edge` and `box_padding` are used.
+
+    Raises:
+        InputError: the split is empty, or an image shows nothing of the performer.
     """
 
     def __init__(self, capture: Capture, split: Split, options: TrainingOptions) -> None:
@@ -40,27 +65,24 @@ class RaySampler:
         self._frames = split.frames
         self._cameras = [capture.cameras[name] for name in split.cameras]
         if not self._frames or not self._cameras:
-            raise InputError(f"{capture.path / 'capture.json'}: splits.train", "no cameras or no frames", "at least one of each")
-        self._images: dict[tuple[int, int], np.ndarray] = {}
-        self._masks: dict[tuple[int, int], np.ndarray] = {}
-        self._sure: dict[tuple[int, int], np.ndarray] = {}
-        self._on_mask: dict[tuple[int, int], np.ndarray] = {}
-        self._in_box: dict[tuple[int, int], np.ndarray] = {}
+            raise InputError(f"{capture.path / 'capture.json'}: splits.train", "no cameras or no frames",
+                             "at least one of each")
+        self._views: dict[tuple[int, int], _View] = {}
         for row, frame in enumerate(self._frames):
             vertices = capture.poses.vertices[capture.poses.index(frame)]
             low, high = vertices.min(0) - options.box_padding, vertices.max(0) + options.box_padding
             for column, name in enumerate(split.cameras):
-                camera, key = self._cameras[column], (row, column)
                 mask = capture.mask(name, frame)
                 allowed = ~_edge(mask, options.edge_kernel)
-                box = box_pixels(camera, low, high) & allowed
+                box = box_pixels(self._cameras[column], low, high) & allowed
                 if not (mask & allowed).any() or not box.any():
-                    raise InputError(f"camera {name}, frame {frame}", "no pixel of the performer in view", "a mask that is not empty")
-                self._images[key] = np.round(capture.image(name, frame) * 255).astype(np.uint8).reshape(-1, 3)
-                self._masks[key] = mask.ravel()
-                self._sure[key] = ~_edge(mask, options.opacity_edge).ravel()
-                self._on_mask[key] = np.flatnonzero(mask & allowed).astype(np.uint32)
-                self._in_box[key] = np.flatnonzero(box).astype(np.uint32)
+                    raise InputError(f"camera {name}, frame {frame}", "no pixel of the performer in view",
+                                     "a mask that is not empty")
+                self._views[row, column] = _View(
+                    np.round(capture.image(name, frame) * 255).astype(np.uint8).reshape(-1, 3), mask.ravel(),
+                    ~_edge(mask, options.opacity_edge).ravel(),
+                    np.flatnonzero(mask & allowed).astype(np.uint32),
+                    np.flatnonzero(box).astype(np.uint32))
 
     def __call__(self, rng: np.random.Generator) -> RayBatch:
         """A batch of `rays` rays: a random frame, its rays spread evenly over the cameras."""
@@ -69,21 +91,24 @@ class RaySampler:
         counts = np.full(len(self._cameras), options.rays // len(self._cameras))
         counts[: options.rays % len(self._cameras)] += 1
         rng.shuffle(counts)
-        parts = [self._draw(rng, (row, column), int(count)) for column, count in enumerate(counts) if count]
-        return RayBatch(self._frames[row], *(np.concatenate(columns, axis=-1) for columns in zip(*parts, strict=True)))
+        parts = [self._draw(rng, row, column, int(count)) for column, count in enumerate(counts) if count]
+        return RayBatch(self._frames[row], *(np.concatenate(columns, axis=-1, dtype=np.float32)
+                                             for columns in zip(*parts, strict=True)))
 
-    def _draw(self, rng: np.random.Generator, key: tuple[int, int], count: int) -> tuple[np.ndarray, ...]:
+    def _draw(self, rng: np.random.Generator, row: int, column: int, count: int) -> tuple[np.ndarray, ...]:
+        view = self._views[row, column]
         on_mask = round(count * self._options.mask_share)
-        pixels = np.concatenate([rng.choice(self._on_mask[key], on_mask), rng.choice(self._in_box[key], count - on_mask)])
-        camera = self._cameras[key[1]]
-        origin, direction = pixel_rays(camera, pixels)
-        return (origin.astype(np.float32), direction.astype(np.float32),
-                self._images[key][pixels].T.astype(np.float32) / 255, self._masks[key][pixels].astype(np.float32),
-                self._sure[key][pixels].astype(np.float32), (np.arange(count) >= on_mask).astype(np.float32))
+        pixels = np.concatenate([rng.choice(view.mask_pixels, on_mask),
+                                 rng.choice(view.box_pixels, count - on_mask)])
+        origin, direction = pixel_rays(self._cameras[column], pixels)
+        target = view.image[pixels].T.astype(np.float32) / 255
+        in_box = np.arange(count) >= on_mask
+        return origin, direction, target, view.mask[pixels], view.mask_valid[pixels], in_box
 
 
 def _edge(mask: np.ndarray, kernel: int) -> np.ndarray:
-    """Pixels around which a square of `kernel` pixels holds both performer and background (dilation minus erosion)."""
+    """Pixels around which a square of `kernel` pixels holds both performer and background (dilation minus
+    erosion)."""
     if kernel < 2:
         return np.zeros_like(mask)
     square = np.ones((kernel, kernel), bool)

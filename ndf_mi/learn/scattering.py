@@ -1,8 +1,9 @@
-"""Training through scattering: the field's density is an extinction and its colour an albedo, under lights that are known."""
+"""Training through scattering: density is an extinction and colour an albedo, under known lights."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -11,12 +12,12 @@ import mitsuba as mi
 from ndf_mi.capture.capture import Capture
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.errors import InputError
-from ndf_mi.field import Preset
+from ndf_mi.field import FieldParameters, Preset
+from ndf_mi.learn.batch import Batch
 from ndf_mi.learn.loss import NoisyLoss
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.rays import RayBatch
 from ndf_mi.learn.scattering_scene import ScatteringScene, expect_outside
-from ndf_mi.learn.trainer import Step, Trainer
+from ndf_mi.learn.step import QuadratureStep, Statistics, statistics
 from ndf_mi.model import PosedModel
 from ndf_mi.render.lights import lights
 from ndf_mi.render.replay import Replay, repeated
@@ -26,14 +27,15 @@ SCATTERING = ("prbvolpath",)
 """Mitsuba's integrators that differentiate scattering media."""
 
 SCATTERING_STEPS = 1000
-"""Steps through scattering where nothing else is said: each costs as much as some twenty by quadrature."""
+"""Default number of steps through scattering: each costs as much as about twenty by quadrature."""
 
 DENSITY_LIMIT = 150.0
-"""The preset's `density_limit` in 1/m when training through scattering: paths cost by the majorant. It is opaque within 4 cm."""
+"""The preset's `density_limit` in 1/m for scattering, where paths cost in proportion to the majorant. A
+medium of this extinction is opaque within 4 cm."""
 
 
 def check_integrator(name: str) -> None:
-    """Raises InputError unless fields can be trained by the integrator of this name."""
+    """Raises InputError unless fields can be trained with the integrator `name`."""
     if name == QUADRATURE or name in SCATTERING:
         return
     expected = f"{QUADRATURE} or {', '.join(SCATTERING)}"
@@ -45,101 +47,95 @@ def check_integrator(name: str) -> None:
 
 
 def relightable(preset: Preset) -> tuple[Preset, list[str]]:
-    """A preset for training through scattering, and what has been changed in it, as NAME=VALUE.
+    """A preset for training through scattering, and the options that this changed, as NAME=VALUE.
 
-    The colours of such a field are its own: inputs that say where light comes from, or where the viewer is, are left out, and the pose,
-    from which it can be told how a part was lit, mixes no matrices. Its density is
-    above 0 wherever the networks decide: gradients through scattering are biased where it is 0.
+    Its colours are albedos: inputs that depend on the light or the viewer are removed, and so are the pose
+    products, which could learn how a part was lit in each pose. Its density is above 0 wherever the networks
+    are evaluated: gradients through scattering are biased where it is 0.
     """
-    changes: dict[str, Any] = {"direction_octaves": -1, "direction": "view", "normal_octaves": -1, "pose_products": False,
-                               "density_limit": min(preset.density_limit, DENSITY_LIMIT), "density_activation": "softplus"}
-    changed = [f"{key}={_told(value)}" for key, value in changes.items() if getattr(preset, key) != value]
+    changes: dict[str, Any] = {
+        "direction_octaves": -1, "direction": "view", "normal_octaves": -1, "pose_products": False,
+        "density_limit": min(preset.density_limit, DENSITY_LIMIT), "density_activation": "softplus"}
+    changed = [f"{key}={_as_option(value)}" for key,
+               value in changes.items() if getattr(preset, key) != value]
     return dataclasses.replace(preset, **changes), changed
 
 
-def _told(value: str | bool | float) -> str:
-    """A value as `--option` takes it."""
-    return value if isinstance(value, str) else str(value).lower() if isinstance(value, bool) else format(value, "g")
-
-
-class ScatteringTrainer(Trainer):
-    """Trains the field of `run` as a scattering medium under the capture's lighting, after `warm_up` steps by quadrature.
-
-    A step puts the field onto a lattice (batched networks, once), traces paths there, replays them for gradients in the lattice's nodes,
-    and takes these back through the networks. The lattice is shifted by a random part of a cell each step, so that no detail can hide
-    between nodes. Opacity against the masks and the band's edge are seen to by quadrature along the same rays.
+def capture_lights(run: Run, capture: Capture, options: TrainingOptions) -> dict[str, Any]:
+    """The lights of a capture as entries of a scene's dictionary.
 
     Raises:
-        InputError: the light of the capture is not known or its scene is of no use; the preset lets light or viewer into the colours, or
-            densities be 0; a camera is inside the performer's band.
+        InputError: training through scattering is impossible: the light is unknown or its scene unusable, the
+            preset lets light or viewer into the colours or density be 0, or a camera is inside the
+            performer's band.
+    """
+    preset = run.model.field.preset
+    for key in ("direction_octaves", "normal_octaves"):
+        if getattr(preset, key) >= 0:
+            raise InputError(f"preset option {key}", str(getattr(preset, key)),
+                             f"-1 with --integrator {options.integrator}",
+                             "Colours that depend on it contain the light of the capture and cannot be "
+                             "relit.")
+    if preset.density_activation == "relu":
+        raise InputError("preset option density_activation", "relu",
+                         f"softplus with --integrator {options.integrator}",
+                         "Gradients through scattering are biased where the density is 0, so it would stay 0 "
+                         "there.")
+    entries = lights(capture.known_lighting())
+    train = capture.splits["train"]
+    for name in train.cameras:
+        for frame in train.frames:
+            expect_outside(run, capture.cameras[name], frame, options.cell)
+    return entries
+
+
+class ScatteringStep:
+    """Paths through the field as a scattering medium, replayed for gradients.
+
+    The field is evaluated once on a grid, by batched networks. Paths are traced there, and replayed for
+    gradients in the grid's nodes, which continue through the networks as a vector-Jacobian product. The grid
+    is shifted by a random part of a cell in each step, so that no detail can hide between nodes. The opacity
+    and edge terms of the loss come from quadrature along the same rays.
+
+    Args:
+        run: the body and the networks' architecture; its parameters are not used.
+        frames: all frames that batches can have.
+        lights: entries of a scene's dictionary.
+        options: sampling and loss.
+        quadrature: computes the loss's terms in the density alone.
     """
 
-    def __init__(self, run: Run, capture: Capture, options: TrainingOptions) -> None:
-        preset = run.model.field.preset
-        for key in ("direction_octaves", "normal_octaves"):
-            if getattr(preset, key) >= 0:
-                raise InputError(f"preset option {key}", str(getattr(preset, key)), f"-1 with --integrator {options.integrator}",
-                                 "Colours that depend on it hold the light of the capture, and cannot be shown under another.")
-        if preset.density_activation == "relu":
-            raise InputError("preset option density_activation", "relu", f"softplus with --integrator {options.integrator}",
-                             "Gradients through scattering are biased where the density is 0, and it would stay 0 there.")
-        self._lights = lights(capture.known_lighting())
-        super().__init__(run, capture, options)
-        train = capture.splits["train"]
-        self._frames = train.frames
-        for name in train.cameras:
-            for frame in train.frames:
-                expect_outside(run, capture.cameras[name], frame, options.cell)
-        self._behind = srgb_to_linear(mi.Color3f(*[float(v) for v in run.background]))
-        self._noisy = NoisyLoss(options.paths)
-        self._stage: ScatteringScene | None = None
+    def __init__(self, run: Run, frames: Sequence[int], lights: dict[str, Any], options: TrainingOptions,
+                 quadrature: QuadratureStep) -> None:
+        self._run = run
+        self._paths = options.paths
+        self._quadrature = quadrature
+        self._loss = NoisyLoss(options.paths)
+        self._scene = ScatteringScene(run, frames, lights, options.cell)
+        integrator = mi.load_dict(
+            {"type": options.integrator, "max_depth": options.max_depth, "hide_emitters": True})
+        background = srgb_to_linear(mi.Color3f(*(float(v) for v in run.background)))
+        self._replay = Replay(self._scene.scene, integrator, background)
 
-    @property
-    def scattering(self) -> bool:
-        """Whether the next step is one through scattering."""
-        return self._step >= self.options.warm_up
+    def __call__(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Statistics]:
+        if batch.paths is None:
+            raise ValueError("a step through scattering needs a batch with path seeds")
+        density_terms, radiance, _ = self._quadrature.density_terms(parameters, batch)
+        frame = batch.rays.frame
+        # Without an occupancy: all nodes in the band are evaluated.
+        posed = PosedModel(self._run.model, parameters, self._run.surface(frame), mi.Float(batch.pose))
+        baked = self._scene.place(posed, frame, batch.paths.shift)
+        ray = repeated(batch.ray, self._paths)
+        colours = self._replay.radiance(ray, batch.paths.seed)
+        error, adjoint = self._loss(colours, mi.Color3f(batch.rays.target))
+        self._replay.backward(ray, batch.paths.seed, colours, adjoint)
+        # Has the value of the error, and its gradients by way of the nodes.
+        vjp = baked.vjp(self._scene.gradient())
+        return density_terms + (error + vjp - dr.detach(vjp)), statistics(radiance, posed, error)
 
-    def step(self) -> None:
-        """As the base class; the first step through scattering begins with fresh moments and, unless `seconds` or `decay_steps` rule the
-        decay, with rates as at the start; but for what refused steps have left of them."""
-        if self._step == self.options.warm_up and self._stage is None and self._step > 0:
-            self.publish()
-            before = self._guard
-            self._make_optimisers()
-            self._guard.follow(before)
-            self._error = float("nan")
-        super().step()
 
-    def _gradients(self, batch: RayBatch) -> Step:
-        if not self.scattering:
-            return super()._gradients(batch)
-        stage, replay = self._set_up()
-        seen = self._see(batch)
-        posed = PosedModel(self.run.model, self.parameters, self.run.surface(batch.frame), self._pose)
-        baked = stage.place(posed, batch.frame, self._rng.random(3))
-        ray = repeated(mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction)), self.options.paths)
-        seed = int(self._rng.integers(2**32))
-        radiance = replay.radiance(ray, seed)
-        error, adjoint = self._noisy(radiance, mi.Color3f(batch.target))
-        replay.backward(ray, seed, radiance, adjoint)
-        shape = self._loss.shape(seen, mi.Float(batch.mask), mi.Float(batch.sure))
-        dr.backward(shape + baked.pulled(stage.gradient()))
-        return Step(error + dr.detach(shape), error, seen)
-
-    def _set_up(self) -> tuple[ScatteringScene, Replay]:
-        """The scene and what traces it, made when they are needed first."""
-        if self._stage is None:
-            self._stage = ScatteringScene(self.run, self._frames, self._lights, self.options.cell)
-            integrator = mi.load_dict({"type": self.options.integrator, "max_depth": self.options.max_depth, "hide_emitters": True})
-            self._replay = Replay(self._stage.scene, integrator, self._behind)
-        return self._stage, self._replay
-
-    def _spent(self) -> float:
-        """The rates decay over the steps by quadrature, and again over those through scattering; once over all of them where `seconds` or
-        `decay_steps` rule the decay."""
-        warm = self.options.warm_up
-        if self.options.seconds > 0 or self.options.decay_steps:
-            return super()._spent()
-        if not self.scattering:
-            return self._step / warm
-        return (self._step - warm) / max(self.options.steps - warm, 1)
+def _as_option(value: str | bool | float) -> str:
+    """A value as `--option` takes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return value if isinstance(value, str) else format(value, "g")

@@ -1,9 +1,11 @@
-"""One training step after another: rays, gradients, Adam; and the state to go on from."""
+"""Takes training steps: draws batches, updates parameters with Adam, refuses bad steps, saves and
+restores."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,231 +17,272 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.field import FieldParameters
 from ndf_mi.field.occupancy import Occupancy
+from ndf_mi.learn.batch import Batch, BatchSampler
 from ndf_mi.learn.guard import Guard
-from ndf_mi.learn.loss import ImageLoss
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.rays import RayBatch, RaySampler
+from ndf_mi.learn.rays import RaySampler
+from ndf_mi.learn.scattering import ScatteringStep, capture_lights
 from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
-from ndf_mi.model import PosedModel
-from ndf_mi.render.quadrature import Radiance, quadrature
-from ndf_mi.run import Run
+from ndf_mi.learn.step import QuadratureStep, Statistics, Step
+from ndf_mi.run import QUADRATURE, Run
 
 STATE = "state.safetensors"
 _SMOOTHING = 0.98
 
+#: Density in 1/m below which a cell counts as empty: 2 % opacity over a centimetre. Parts that no image shows
+#: stay at the initial density, which is just below it.
+_EMPTY = 2.0
+
+
 @dataclass(frozen=True)
 class Progress:
-    """Where training stands: steps done, seconds spent, smoothed mean squared error in sRGB of all rays drawn and of those drawn from the
-    body's box alone (NaN without such rays, and through scattering), samples that reached the networks, steps refused because their
-    gradients were not finite or the weights would not have been, and what that has left of the learning rates."""
+    """How far a training has come.
+
+    Attributes:
+        step: steps taken.
+        seconds: time spent on steps.
+        error: smoothed mean squared error in sRGB of the rays drawn.
+        box_error: the same over the rays drawn from the whole box; NaN without such rays, and through
+            scattering.
+        evaluated: samples that reached the networks in the last step.
+        steps_refused: steps that were not taken because gradients or parameters would not have been finite.
+        rate_factor: factor on the learning rates that refused steps have left.
+    """
 
     step: int
     seconds: float
     error: float
     box_error: float
     evaluated: int
-    refused: int = 0
+    steps_refused: int = 0
     rate_factor: float = 1.0
 
     @property
     def psnr(self) -> float:
-        """−10·log10 of the error, in dB, on the rays drawn."""
+        """−10·log10 of the error, in dB, over the rays drawn."""
         return -10 * math.log10(max(self.error, 1e-12))
 
     @property
     def box_psnr(self) -> float | None:
-        """The same on the rays drawn from the body's box alone: on pixels as frequent as they are there."""
+        """The same over the rays drawn from the whole box, in which pixels are as frequent as in an image."""
         return -10 * math.log10(max(self.box_error, 1e-12)) if math.isfinite(self.box_error) else None
 
 
-@dataclass(frozen=True)
-class Step:
-    """What a step has found out: `loss`, one number that is not finite where the step cannot be taken; `error`, the mean squared error in
-    sRGB of the rays drawn, one number, detached; `seen`, what the quadrature saw along them; `box`, the error of those drawn from the
-    body's box, or None."""
-
-    loss: mi.Float
-    error: mi.Float
-    seen: Radiance
-    box: mi.Float | None = None
-
-
 class Trainer:
-    """Trains the field of `run` on the training split of `capture`: by quadrature, unless a subclass replaces :meth:`_gradients`.
+    """Trains the field of a run on the training split of a capture.
 
-    Weights live in the optimisers while training goes on; :meth:`publish` puts them into the run.
+    With a scattering integrator the first `warm_up` steps are by quadrature, and those through scattering
+    begin with fresh moments. Parameters live in the optimisers; :meth:`publish` copies them to the run.
+
+    Args:
+        run: what to train.
+        capture: the images.
+        options: schedule, sampling and loss.
+
+    Attributes:
+        batches: draws a batch for each step, as :class:`BatchSampler`; can be replaced.
+        optimisers: ``mi.ad.Adam`` by the name of the parameter that each updates: `weights`, and `grid` where
+            the preset has a hash table.
+
+    Raises:
+        InputError: the capture cannot be trained on with these options.
     """
 
     def __init__(self, run: Run, capture: Capture, options: TrainingOptions) -> None:
         self.run = run
         self.options = options
-        self._rays = RaySampler(capture, capture.splits["train"], options)
+        split = capture.splits["train"]
+        self._frames = split.frames
+        self._lights: dict[str, Any] = {}
+        if options.integrator != QUADRATURE:
+            self._lights = capture_lights(run, capture, options)
+        rays = RaySampler(capture, split, options)
+        self.batches: Callable[[np.random.Generator, bool, bool], Batch] = BatchSampler(
+            rays, run.poses, options, run.model.field.preset.sample_factor)
         self._rng = np.random.default_rng([options.seed, 1])
-        preset = run.model.field.preset
-        self._candidates = options.rays * options.samples * preset.sample_factor
-        self._loss = ImageLoss(options, mi.Color3f(*[float(v) for v in run.background]), preset.band, preset.density_gain)
+        self._occupancy = Occupancy(threshold=_EMPTY) if options.skip_empty else None
+        self._quadrature = QuadratureStep(run, options, self._occupancy)
+        self._scattering_step: ScatteringStep | None = None
         self._make_optimisers()
-        # Two percent of opacity over a centimetre; what is never seen stays as thin as training starts, just below it.
-        self._occupancy = Occupancy(threshold=2.0) if options.skip_empty else None
-        self._step = 0
+        self._guard = Guard(list(self.optimisers.values()))
+        self._taken = 0
+        self._scattering_begun = self.scattering
         self._seconds = 0.0
         self._error = self._box_error = float("nan")
         self._evaluated = 0
-        self._rate = 0.0
-
-    def _make_optimisers(self) -> None:
-        """Fresh optimisers, without moments, of the weights that the run has, and a guard over them."""
-        options, parameters = self.options, self.run.parameters
-        self._networks = mi.ad.Adam(lr=options.learning_rate, params={"weights": parameters.weights})
-        # Most entries of the table see no sample in a step: those keep their value and moments, as in the grid's paper.
-        self._table = None
-        if parameters.grid is not None:
-            self._table = mi.ad.Adam(lr=options.grid_rate, params={"grid": parameters.grid}, mask_updates=True, epsilon=1e-15)
-        self._guard = Guard([self._networks] if self._table is None else [self._networks, self._table])
 
     @property
     def progress(self) -> Progress:
-        """Where training stands."""
-        return Progress(self._step, self._seconds, self._error, self._box_error, self._evaluated, self._guard.refused, self._guard.factor)
-
-    @property
-    def parameters(self) -> FieldParameters:
-        """The field's parameters as the optimisers have them now; their gradients are tracked."""
-        return FieldParameters(self._networks["weights"], None if self._table is None else self._table["grid"])
+        """How far the training has come."""
+        return Progress(self._taken, self._seconds, self._error, self._box_error, self._evaluated,
+                        self._guard.steps_refused, self._guard.rate_factor)
 
     @property
     def done(self) -> float:
         """Share of the training that is done, in [0, 1]."""
-        by_steps = self._step / self.options.steps
+        by_steps = self._taken / self.options.steps
         by_clock = self._seconds / self.options.seconds if self.options.seconds > 0 else 0.0
         return min(1.0, max(by_steps, by_clock))
 
+    @property
+    def scattering(self) -> bool:
+        """Whether the next step is through scattering."""
+        return self.options.integrator != QUADRATURE and self._taken >= self.options.warm_up
+
+    @property
+    def parameters(self) -> FieldParameters:
+        """The current parameters, attached."""
+        return FieldParameters(**{name: optimiser[name] for name, optimiser in self.optimisers.items()})
+
     def step(self) -> None:
-        """Takes one step; where its gradients are not finite, or the weights would not be, goes back to the last state kept instead, with
-        smaller rates.
+        """Takes one step, or refuses it and returns to the last good state.
 
         Raises:
-            InputError: smaller rates have not helped.
+            InputError: too many steps were refused.
         """
         started = time.perf_counter()
-        self._set_rates()
-        batch = self._rays(self._rng)
-        found = self._gradients(batch)
-        if not self._guard.sound(found.loss):
-            self._guard.refuse(self._step + 1)
-            self._seconds += time.perf_counter() - started
-            return
-        self._guard.proved(self._step)
-
-        weights = self._networks["weights"]
-        dr.set_grad(weights, dr.clip(dr.grad(weights), -self.options.clip, self.options.clip))
-        self._networks.step()
-        if self._table is not None:
-            self._table.step()
-        if not self._guard.landed(self._rate):
-            self._guard.refuse(self._step + 1)
-            self._seconds += time.perf_counter() - started
-            return
-        if self._occupancy is not None:
-            samples = found.seen.samples
-            at = self._posed.unit(mi.Point2f(samples.u.x, samples.u.y), samples.u.z)
-            self._occupancy.observe(at, samples.sigma, found.seen.inside)
-        dr.eval([value for value in (found.error, found.box) if value is not None])
-        self._error = _smoothed(self._error, float(found.error[0]))
-        self._box_error = float("nan") if found.box is None else _smoothed(self._box_error, float(found.box[0]))
-        self._loss.observe(self._error)
-        self._evaluated = found.seen.evaluated
-        self._step += 1
+        batch = self.batches(self._rng, self._error < self.options.edge_below, self.scattering)
+        if self.scattering and not self._scattering_begun:
+            self._begin_scattering()
+        statistics = self._update(batch)
+        if statistics is None:
+            self._guard.refuse(self._taken + 1)
+        else:
+            self._record(statistics)
         self._seconds += time.perf_counter() - started
 
-    def _gradients(self, batch: RayBatch) -> Step:
-        """The loss along a batch of rays; its gradients go to the optimisers' parameters."""
-        seen = self._see(batch)
-        loss = self._loss(seen, mi.Color3f(batch.target), mi.Float(batch.mask), mi.Float(batch.sure), mi.Float(batch.in_box))
-        dr.backward(loss.total)
-        return Step(loss.total, loss.image, seen, loss.box)
-
-    def _see(self, batch: RayBatch) -> Radiance:
-        """The field as it is now along a batch of rays, by quadrature, attached to the optimisers' parameters."""
-        jitter = mi.Float(self._rng.random(self._candidates, dtype=np.float32))
-        self._pose = self._noisy_pose(batch.frame)
-        self._posed = PosedModel(self.run.model, self.parameters, self.run.surface(batch.frame), self._pose, self._occupancy)
-        ray = mi.Ray3f(mi.Point3f(batch.origin), mi.Vector3f(batch.direction))
-        return quadrature(self._posed, ray, self.options.samples, jitter=jitter, min_transmittance=self.options.skip_hidden)
-
     def publish(self) -> None:
-        """Puts the current weights, detached, into the run's field."""
+        """Copies the current parameters, detached, to the run."""
         self.run.parameters = self.parameters.detached()
 
     def save(self) -> None:
-        """Writes the state to go on from, then the field."""
-        tensors = adam_tensors(self._networks, "networks")
-        if self._table is not None:
-            tensors |= adam_tensors(self._table, "table")
+        """Writes the training state, then the field."""
+        tensors: dict[str, np.ndarray] = {}
+        for name, optimiser in self.optimisers.items():
+            tensors |= adam_tensors(optimiser, _PREFIXES[name])
         if self._occupancy is not None:
             tensors["occupancy"] = self._occupancy.values.numpy()
-        facts: dict[str, Any] = {
-            "step": self._step,
+        metadata: dict[str, Any] = {
+            "step": self._taken,
             "seconds": self._seconds,
             "error": None if math.isnan(self._error) else self._error,
             "box_error": None if math.isnan(self._box_error) else self._box_error,
-            "rate_factor": self._guard.factor,
-            "refused": self._guard.refused,
+            "rate_factor": self._guard.rate_factor,
+            "refused": self._guard.steps_refused,
             "random": self._rng.bit_generator.state,
         }
-        write_state(self.run.path / STATE, tensors, facts)
+        write_state(self.run.path / STATE, tensors, metadata)
         self.publish()
         self.run.save_field()
 
     def restore(self) -> None:
-        """Goes back to the state that :meth:`save` wrote last.
+        """Returns to the state that :meth:`save` wrote last.
 
         Raises:
             InputError: there is none, or it does not fit the run's preset.
         """
         path = self.run.path / STATE
-        tensors, facts = read_state(path)
-        restore_adam(self._networks, "networks", tensors, str(path))
-        if self._table is not None:
-            restore_adam(self._table, "table", tensors, str(path))
+        tensors, metadata = read_state(path)
+        for name, optimiser in self.optimisers.items():
+            restore_adam(optimiser, _PREFIXES[name], tensors, str(path))
         try:
-            self._rng.bit_generator.state = facts["random"]
-            self._step, self._seconds = int(facts["step"]), float(facts["seconds"])
-            self._error = float("nan") if facts["error"] is None else float(facts["error"])
-            # States written before it was told apart lack it.
-            box = facts.get("box_error")
-            self._box_error = float("nan") if box is None else float(box)
-            # States written before rates could be made smaller, or before refused steps were counted, lack them.
-            self._guard.factor = float(facts.get("rate_factor", 1.0))
-            self._guard.refused = int(facts.get("refused", 0))
-            self._guard.keep()
+            self._rng.bit_generator.state = metadata["random"]
+            self._taken, self._seconds = int(metadata["step"]), float(metadata["seconds"])
+            self._error = _number(metadata["error"])
+            # Older files lack these three.
+            self._box_error = _number(metadata.get("box_error"))
+            self._guard.rate_factor = float(metadata.get("rate_factor", 1.0))
+            self._guard.steps_refused = int(metadata.get("refused", 0))
+            self._guard.snapshot()
             if self._occupancy is not None:
-                self._occupancy.restore(tensors["occupancy"], self._step)
+                self._occupancy.restore(tensors["occupancy"], self._taken)
         except (KeyError, TypeError, ValueError) as error:
-            raise InputError(path, f"facts that are not a training state's ({error})", "what a checkpoint writes") from None
-        if not math.isnan(self._error):
-            self._loss.observe(self._error)
+            raise InputError(path, f"metadata that is not a training state's ({error})",
+                             "what a checkpoint writes") from None
+        self._scattering_begun = self.scattering and self._taken > self.options.warm_up
         self.publish()
 
-    def _noisy_pose(self, frame: int) -> mi.Float:
-        """The frame's pose vector as the networks see it in training: with noise on all joints but the root."""
-        pose = self.run.poses.pose[self.run.poses.index(frame)].astype(np.float32)
-        if self.options.pose_noise > 0:
-            pose[1:] += self._rng.normal(0.0, self.options.pose_noise, pose[1:].shape).astype(np.float32)
-        return mi.Float(pose.ravel())
+    def _make_optimisers(self) -> None:
+        """Optimisers without moments, of the run's parameters."""
+        options, parameters = self.options, self.run.parameters
+        self.optimisers: dict[str, Any] = {
+            "weights": mi.ad.Adam(lr=options.learning_rate, params={"weights": parameters.weights})}
+        if parameters.grid is not None:
+            # Most entries of the table get no sample in a step. They keep value and moments (Müller et al.
+            # 2022).
+            self.optimisers["grid"] = mi.ad.Adam(lr=options.grid_rate, params={"grid": parameters.grid},
+                                                 mask_updates=True, epsilon=1e-15)
 
-    def _spent(self) -> float:
-        """How much of the rates' decay is over, 1 when `decay` is reached."""
-        return self._step / self.options.decay_steps if self.options.decay_steps else self.done
+    def _begin_scattering(self) -> None:
+        self._scattering_begun = True
+        self.publish()
+        self._make_optimisers()
+        guard = Guard(list(self.optimisers.values()))
+        guard.inherit(self._guard)
+        self._guard = guard
+        self._error = float("nan")
 
-    def _set_rates(self) -> None:
+    def _update(self, batch: Batch) -> Statistics | None:
+        """Updates the parameters; None where the step must be refused."""
+        rate = self._set_rates()
+        loss, statistics = self._step()(self.parameters, batch)
+        dr.backward(loss)
+        if not self._guard.gradients_finite(loss):
+            return None
+        self._guard.mark_stable(self._taken)
+        weights = self.optimisers["weights"]["weights"]
+        dr.set_grad(weights, dr.clip(dr.grad(weights), -self.options.clip, self.options.clip))
+        for optimiser in self.optimisers.values():
+            optimiser.step()
+        return statistics if self._guard.params_finite(rate) else None
+
+    def _step(self) -> Step:
+        if not self.scattering:
+            return self._quadrature
+        if self._scattering_step is None:
+            self._scattering_step = ScatteringStep(self.run, self._frames, self._lights, self.options,
+                                                   self._quadrature)
+        return self._scattering_step
+
+    def _record(self, statistics: Statistics) -> None:
+        if self._occupancy is not None:
+            self._occupancy.observe(statistics.places, statistics.densities, statistics.valid)
+        error, box_error = statistics.error, statistics.box_error
+        dr.eval([value for value in (error, box_error) if value is not None])
+        self._error = _smoothed(self._error, float(error[0]))
+        self._box_error = float("nan") if box_error is None else _smoothed(self._box_error,
+                                                                           float(box_error[0]))
+        self._evaluated = statistics.evaluated
+        self._taken += 1
+
+    def _set_rates(self) -> float:
+        """Sets the optimisers' learning rates; returns the larger one."""
         options = self.options
-        spent = self._spent()
-        factor = options.decay**spent * self._guard.factor
-        self._rate = factor * max(options.learning_rate, options.grid_rate)
-        self._networks.set_learning_rate(options.learning_rate * factor)
-        if self._table is not None:
-            self._table.set_learning_rate(options.grid_rate * factor)
+        factor = options.decay ** self._decay_progress() * self._guard.rate_factor
+        rates = {"weights": options.learning_rate * factor, "grid": options.grid_rate * factor}
+        for name, optimiser in self.optimisers.items():
+            optimiser.set_learning_rate(rates[name])
+        return max(rates.values())
+
+    def _decay_progress(self) -> float:
+        """How far the rates have decayed; 1 means by the factor `decay`. Warm-up and scattering each decay
+        once, unless `decay_steps` or `seconds` set the decay."""
+        options = self.options
+        if options.decay_steps:
+            return self._taken / options.decay_steps
+        if options.integrator == QUADRATURE or options.seconds > 0:
+            return self.done
+        if not self.scattering:
+            return self._taken / options.warm_up
+        return (self._taken - options.warm_up) / max(options.steps - options.warm_up, 1)
+
+
+#: Names of the optimisers' tensors in the state file.
+_PREFIXES = {"weights": "networks", "grid": "table"}
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
 
 
 def _smoothed(before: float, now: float) -> float:

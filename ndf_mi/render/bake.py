@@ -30,7 +30,7 @@ class Baked:
     nodes: mi.Float
     densest: mi.Float
 
-    def pulled(self, adjoint: mi.Float) -> mi.Float:
+    def vjp(self, adjoint: mi.Float) -> mi.Float:
         """One number whose derivatives in the field's parameters are those of a function that has the derivatives `adjoint` in `nodes`."""
         total = mi.Float(0.0)
         for channel, value in enumerate(self.values):

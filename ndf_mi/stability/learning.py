@@ -19,10 +19,10 @@ from ndf_mi.capture.document import Document, Split
 from ndf_mi.capture.writer import CaptureWriter
 from ndf_mi.errors import InputError
 from ndf_mi.field import preset
+from ndf_mi.learn.batch import Batch
 from ndf_mi.learn.loop import start
 from ndf_mi.learn.loss import ImageLoss, NoisyLoss
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.rays import RayBatch
 from ndf_mi.learn.trainer import Trainer
 from ndf_mi.render.quadrature import Radiance
 from ndf_mi.stability.ball import RADIUS, charts, icosphere, looking
@@ -134,10 +134,10 @@ def learning_rates() -> Iterator[Measured]:
             trainer.step()
             after = weights_of(trainer)
             worst = 0.0
-            if trainer.progress.refused:
+            if trainer.progress.steps_refused:
                 worst = error(after, before)
             else:
-                _, _, _, (_, m, v, _) = trainer._networks.state["weights"]
+                _, _, _, (_, m, v, _) = trainer.optimisers["weights"].state["weights"]
                 first, second = (moment.numpy().astype(np.float64) for moment in (m, v))
                 step = rate * np.sqrt(1 - BETA_2) / (1 - BETA_1) * first / np.sqrt(second + EPSILON**2)
                 worst = error(after, before.astype(np.float64) - step, np.abs(before) + rate)
@@ -178,22 +178,22 @@ def _one_step(part: str, value: float) -> tuple[tuple[np.ndarray, np.ndarray], n
     """Weights before and after a step in whose batch a ray has that value in a part, Adam's first moments, and how many steps were
     refused."""
     with training(OPTIONS) as trainer:
-        draw = trainer._rays
+        draw = trainer.batches
 
-        def broken(rng: np.random.Generator) -> RayBatch:
-            batch = draw(rng)
-            values = getattr(batch, part).copy()
+        def broken(rng: np.random.Generator, edge_active: bool, scattering: bool) -> Batch:
+            batch = draw(rng, edge_active, scattering)
+            values = getattr(batch.rays, part).copy()
             values[..., 5] = value
-            return dataclasses.replace(batch, **{part: values})
+            return dataclasses.replace(batch, rays=dataclasses.replace(batch.rays, **{part: values}))
 
         before = weights_of(trainer)
-        trainer._rays = broken  # type: ignore[assignment]
+        trainer.batches = broken
         trainer.step()
         after = weights_of(trainer)
         # A refused step leaves no moments.
-        kept = not trainer.progress.refused
-        moments = trainer._networks.state["weights"][3][1].numpy().astype(np.float64) if kept else np.zeros(0)
-        return (before, after), moments, trainer.progress.refused
+        kept = not trainer.progress.steps_refused
+        moments = trainer.optimisers["weights"].state["weights"][3][1].numpy().astype(np.float64) if kept else np.zeros(0)
+        return (before, after), moments, trainer.progress.steps_refused
 
 
 @case("training on images all black and all white, and on masks of one pixel", "three steps each", primal=0.0, gradient=None,
@@ -206,5 +206,5 @@ def plain_captures() -> Iterator[Measured]:
             for _ in range(3):
                 trainer.step()
             after = weights_of(trainer)
-            sound = np.isfinite(after).all() and (after != before).any() and not trainer.progress.refused
+            sound = np.isfinite(after).all() and (after != before).any() and not trainer.progress.steps_refused
             yield Measured(f"{'black' if image == 0 else 'white'}{', one pixel' if lone else ''}", 0.0 if sound else np.inf)

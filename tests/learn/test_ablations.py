@@ -1,4 +1,4 @@
-"""Every ablation trains: what it takes away is gone, and the rest learns all the same."""
+"""Every ablation trains and reads back."""
 
 import math
 
@@ -14,21 +14,22 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.run import Run
 
 
-@pytest.mark.parametrize("name", list(ABLATIONS))
+@pytest.mark.parametrize("name", ABLATIONS)
 def test_an_ablation_trains_and_reads_back(name, capture, tmp_path):
-    options, training = ablation(name).apply(preset("tiny"), TrainingOptions(steps=12, rays=256, samples=32))
+    options, training = ablation(name).apply(preset("tiny"), TrainingOptions(steps=2, rays=64, samples=16))
     trainer = start(tmp_path / "run", capture, options, training)
     train(trainer, quiet=True)
     assert math.isfinite(trainer.progress.error)
     loaded = Run.load(tmp_path / "run")
     assert loaded.model.field.preset == options
-    np.testing.assert_array_equal(loaded.parameters.weights.numpy(), trainer.run.parameters.weights.numpy())
-    assert resume(tmp_path / "run", capture).progress.step == 12
+    np.testing.assert_array_equal(loaded.parameters.weights.numpy(), trainer.parameters.weights.numpy())
+    assert resume(tmp_path / "run", capture).progress.step == 2
     x = mi.Point3f(loaded.poses.vertices[0, :50].T)
     d = mi.Vector3f(0, 0, 1) + 0 * mi.Vector3f(x)
     posed = loaded.posed(int(loaded.poses.frames[0]))
     located = posed.locate(x, mi.Bool(True))
-    assert located.valid.numpy().any() and np.isfinite(posed.evaluate(x, d, located, mi.Bool(True)).sigma.numpy()).all()
+    assert located.valid.numpy().any()
+    assert np.isfinite(posed.evaluate(x, d, located, located.valid).sigma.numpy()).all()
 
 
 def test_each_is_a_change():

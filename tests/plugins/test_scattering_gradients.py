@@ -95,7 +95,7 @@ class OnLattice:
         self.baked = self.stage.place(posed, 0, np.full(3, 0.3))
 
     def gradients(self, names):
-        dr.backward(self.baked.pulled(self.stage.gradient()))
+        dr.backward(self.baked.vjp(self.stage.gradient()))
         return {name: dr.grad(self.values[name]).numpy() for name in names}
 
 

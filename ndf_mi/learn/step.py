@@ -1,0 +1,95 @@
+"""One training step as a function: ``loss, statistics = step(parameters, batch)``. By quadrature; see also
+`scattering`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import drjit as dr
+import mitsuba as mi
+
+from ndf_mi.field import FieldParameters
+from ndf_mi.field.occupancy import Occupancy
+from ndf_mi.learn.batch import Batch
+from ndf_mi.learn.loss import ImageLoss
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.model import PosedModel
+from ndf_mi.render.quadrature import Radiance, quadrature
+from ndf_mi.run import Run
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a step reports besides its loss; detached.
+
+    Attributes:
+        error: mean squared error in sRGB of the rays, one number.
+        box_error: the same over the rays drawn from the whole box, or None.
+        evaluated: number of samples that reached the networks.
+        places, densities, valid: where these samples lie in the unit cube of (u, v, l), their σ in 1/m, and
+            which lanes are samples rather than padding: what the occupancy grid observes.
+    """
+
+    error: mi.Float
+    box_error: mi.Float | None
+    evaluated: int
+    places: mi.Point3f
+    densities: mi.Float
+    valid: mi.Bool
+
+
+class Step(Protocol):
+    """A training step. It keeps no state between calls."""
+
+    def __call__(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Statistics]:
+        """The loss, one number attached to `parameters`, and statistics."""
+        ...
+
+
+class QuadratureStep:
+    """Emission and absorption by quadrature along the batch's rays.
+
+    Args:
+        run: the body and the networks' architecture; its parameters are not used.
+        options: sampling and loss.
+        occupancy: says which cells to skip; read, never changed. None skips none.
+    """
+
+    def __init__(self, run: Run, options: TrainingOptions, occupancy: Occupancy | None) -> None:
+        preset = run.model.field.preset
+        self._run = run
+        self._options = options
+        self._occupancy = occupancy
+        self._loss = ImageLoss(options, mi.Color3f(*(float(v) for v in run.background)), preset.band,
+                               preset.density_gain)
+
+    def __call__(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Statistics]:
+        radiance, posed = self._radiance(parameters, batch)
+        rays = batch.rays
+        loss = self._loss(radiance, mi.Color3f(rays.target), mi.Float(rays.mask), mi.Float(rays.mask_valid),
+                          mi.Float(rays.in_box), batch.edge_active)
+        return loss.total, statistics(radiance, posed, loss.image, loss.box)
+
+    def density_terms(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Radiance,
+                                                                                PosedModel]:
+        """The loss's terms in the density alone, one number, and what they were computed from."""
+        radiance, posed = self._radiance(parameters, batch)
+        mask, mask_valid = mi.Float(batch.rays.mask), mi.Float(batch.rays.mask_valid)
+        return self._loss.density_terms(radiance, mask, mask_valid, batch.edge_active), radiance, posed
+
+    def _radiance(self, parameters: FieldParameters, batch: Batch) -> tuple[Radiance, PosedModel]:
+        run, options = self._run, self._options
+        posed = PosedModel(run.model, parameters, run.surface(batch.rays.frame), mi.Float(batch.pose),
+                           self._occupancy)
+        radiance = quadrature(posed, batch.ray, options.samples, jitter=mi.Float(batch.jitter),
+                              min_transmittance=options.min_transmittance)
+        return radiance, posed
+
+
+def statistics(radiance: Radiance, posed: PosedModel, error: mi.Float,
+               box_error: mi.Float | None = None) -> Statistics:
+    """The statistics of a step whose rays see `radiance` of `posed`."""
+    u, sigma = dr.detach(radiance.samples.u), dr.detach(radiance.samples.sigma)
+    places = posed.unit(mi.Point2f(u.x, u.y), u.z)
+    return Statistics(error, box_error, radiance.evaluated, places, sigma, radiance.inside)
