@@ -1,4 +1,4 @@
-"""``ndf-mi plan``: says which model a capture needs, and why."""
+"""``ndf-mi plan``: decides which model a capture needs."""
 
 from __future__ import annotations
 
@@ -11,35 +11,37 @@ import tyro
 
 @dataclass
 class PlanCapture:
-    """Look at a capture's training images and say which model they need: each finding with its evidence, what follows, what is left out."""
+    """Decide from a capture's training images which parts of the model it needs. Prints each finding with its
+    evidence."""
 
     capture: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
     """The capture's folder."""
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Where to write the plan as JSON; `ndf-mi optimise --model FILE` takes it."""
+    """Where to write the plan as JSON, for `ndf-mi optimise --model FILE`."""
 
     accuracy: float = 30.0
-    """dB within the mask that the model is expected to reach; what a part is worth is told against an error of this."""
+    """PSNR in dB within the mask that the model is expected to reach, against which parts are valued."""
 
     worth: float = 0.1
-    """dB that a part must be worth of that to be kept."""
+    """dB of that PSNR that a part must be worth to be kept."""
 
     frames: int = 24
-    """Training frames looked at, at most."""
+    """Limit on the training frames read."""
 
     seed: int = 0
-    """Of the places drawn where there are more than are needed."""
+    """Seed for drawing places where there are more than are needed."""
 
     def run(self) -> int:
-        """Prints the findings, and writes the plan if asked to."""
+        """Prints the findings, and writes the plan if requested."""
         from ndf_mi.capture.capture import Capture
         from ndf_mi.commands.plan_console import planned, printed
-        from ndf_mi.planning.plan import Settings
+        from ndf_mi.planning.plan import PlanSettings
 
-        plan = planned(Capture.read(self.capture), Settings(self.accuracy, self.worth, self.frames, self.seed))
+        plan = planned(Capture.read(self.capture),
+                       PlanSettings(self.accuracy, self.worth, self.frames, self.seed))
         print(printed(plan))
         if self.out is not None:
             plan.write(self.out)
-            print(f"\n{self.out}: written; train with: ndf-mi optimise {self.capture} --model {self.out} -o RUN")
+            print(f"\nwrote {self.out}; train with: ndf-mi optimise {self.capture} --model {self.out} -o RUN")
         return 0

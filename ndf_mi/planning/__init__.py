@@ -1,1 +1,1 @@
-"""What a capture's training images say about the model that it needs: observations, estimates, findings, and the plan that follows."""
+"""Decides from a capture's training images which parts of the model it needs."""

@@ -1,4 +1,4 @@
-"""The plan: what was found in a capture, and the model that follows; a value, on disk as JSON."""
+"""The plan as a value, and on disk as JSON: what was found in a capture, and the preset that follows."""
 
 from __future__ import annotations
 
@@ -17,14 +17,18 @@ VERSION = 1
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What parts have to be worth, and how much is looked at.
+class PlanSettings:
+    """How much a part of the model must be worth, and how many images are read.
 
     Attributes:
-        accuracy: dB within the mask that the trained model is expected to reach: what a part is worth is told against an error of this.
-        worth: dB that a part must be worth of that to be kept.
-        frames: training frames looked at, at most, evenly spaced.
-        seed: of the places drawn where a capture shows more than are needed.
+        accuracy: PSNR in dB within the mask that the trained model is expected to reach, against which parts
+            are valued.
+        worth: dB of that PSNR that a part must be worth to be kept.
+        frames: limit on the training frames read; evenly spaced.
+        seed: seed for drawing places where a capture shows more than are needed.
+
+    Raises:
+        InputError: a value is out of range.
     """
 
     accuracy: float = 30.0
@@ -33,33 +37,34 @@ class Settings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for key, low, high in (("accuracy", 5, 80), ("worth", 1e-3, 20), ("frames", 1, 10**6), ("seed", 0, 2**31 - 1)):
+        for key, low, high in (("accuracy", 5, 80), ("worth", 1e-3, 20), ("frames", 1, 10**6),
+                               ("seed", 0, 2**31 - 1)):
             if not low <= getattr(self, key) <= high:
                 raise InputError(f"--{key}", repr(getattr(self, key)), f"a number from {low:g} to {high:g}")
 
     @property
-    def floor(self) -> float:
+    def expected_error(self) -> float:
         """The mean squared error in sRGB at `accuracy`."""
         return float(10 ** (-self.accuracy / 10))
 
     @property
-    def allowed(self) -> float:
-        """The mean squared error that may be added to it."""
-        return float(self.floor * (10 ** (self.worth / 10) - 1))
+    def allowed_error(self) -> float:
+        """The mean squared error that may be added to it: that of `worth` dB."""
+        return float(self.expected_error * (10 ** (self.worth / 10) - 1))
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One question that was put to the capture.
+    """One question about the capture and its answer.
 
     Attributes:
         key: a word for it.
-        question: what was asked.
+        question: the question.
         evidence: the figures, in a sentence or two.
-        follows: what the model has because of them.
-        left_out: what it therefore does without; empty where nothing.
-        figures: the same figures as numbers; None where they could not be told.
-        changes: options of the preset that follow.
+        follows: what the model has as a consequence.
+        left_out: what the model does without as a consequence; empty if nothing.
+        figures: the figures as numbers; None if unknown.
+        changes: the preset's options that follow.
     """
 
     key: str
@@ -73,19 +78,19 @@ class Finding:
 
 @dataclass(frozen=True)
 class Plan:
-    """Findings about one capture, and the preset that they add up to.
+    """Findings about one capture, and the preset that follows from them.
 
     Attributes:
         capture: name and digest of the capture.
-        looked_at: training cameras and frames that images were read of.
-        settings: what parts have to be worth.
-        findings: in the order in which they were made.
-        preset: the architecture that follows.
+        looked_at: training cameras and frames whose images were read.
+        settings: how much a part must be worth.
+        findings: in the order of the questions.
+        preset: the planned architecture.
     """
 
     capture: dict[str, str]
     looked_at: dict[str, list[Any]]
-    settings: Settings
+    settings: PlanSettings
     findings: tuple[Finding, ...]
     preset: Preset
 
@@ -93,37 +98,47 @@ class Plan:
         """The plan as JSON values."""
         findings = []
         for finding in self.findings:
-            values = {name: list(value) if isinstance(value, tuple) else value for name, value in finding.changes.items()}
+            values = {name: list(value) if isinstance(value, tuple) else value for name,
+                      value in finding.changes.items()}
             findings.append(asdict(finding) | {"changes": values})
         return {"format": FORMAT, "version": VERSION, "capture": self.capture, "looked_at": self.looked_at,
                 "settings": asdict(self.settings), "findings": findings, "preset": self.preset.to_dict()}
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes the plan, whole or not at all."""
+        """Writes the plan as JSON, atomically."""
         files.write_json(path, self.to_dict())
 
 
 def read_preset(path: Path, digest: str) -> tuple[Preset, dict[str, Any]]:
-    """The preset of a plan on disk, and the plan's JSON.
+    """The preset of a plan on disk, and the plan as JSON values.
+
+    Args:
+        digest: of the capture to be trained on.
 
     Raises:
-        InputError: there is none, it is no plan, its preset is wrong, or it is of a capture with another digest.
+        InputError: there is no such file, it is no plan, its preset is invalid, or it was made for another
+            capture.
     """
     try:
         value = load_json(path)
     except FileNotFoundError:
-        raise InputError(path, "no such file", "`auto`, or a plan made by `ndf-mi plan CAPTURE -o FILE`") from None
+        raise InputError(path, "no such file",
+                         "`auto`, or a plan made by `ndf-mi plan CAPTURE -o FILE`") from None
     except ValueError as error:
-        raise InputError(path, f"something that cannot be read as JSON ({error})", "a plan made by `ndf-mi plan`") from None
+        raise InputError(path, f"a file that cannot be read as JSON ({error})",
+                         "a plan made by `ndf-mi plan`") from None
     if not isinstance(value, dict) or value.get("format") != FORMAT:
-        raise InputError(f"{path}: format", shown(value.get("format") if isinstance(value, dict) else value), f'"{FORMAT}"')
+        found = value.get("format") if isinstance(value, dict) else value
+        raise InputError(f"{path}: format", shown(found), f'"{FORMAT}"')
     if value.get("version") != VERSION:
-        raise InputError(f"{path}: version", shown(value.get("version")), str(VERSION), "It was made by another version: plan anew.")
-    of = value.get("capture")
-    known = of.get("digest") if isinstance(of, dict) else None
+        raise InputError(f"{path}: version", shown(value.get("version")), str(VERSION),
+                         "Another version of ndf-mi made it: run `ndf-mi plan` again.")
+    capture = value.get("capture")
+    known = capture.get("digest") if isinstance(capture, dict) else None
     if known != digest:
-        raise InputError(f"{path}: capture", f"the digest {str(known)[:12]}", f"{digest[:12]}, that of the capture given",
-                         "A plan is made for one capture: plan this one.")
+        raise InputError(f"{path}: capture", f"the digest {str(known)[:12]}",
+                         f"{digest[:12]}, that of the given capture",
+                         "A plan is valid for one capture: run `ndf-mi plan` on this one.")
     if not isinstance(value.get("preset"), dict):
         raise InputError(f"{path}: preset", shown(value.get("preset")), "the options of a preset")
     return Preset.from_dict(value["preset"], f"{path}: preset"), value

@@ -1,4 +1,5 @@
-"""How far what is seen stands off the body: rays where mask and body disagree, and how close to the body's surface they come."""
+"""How far the performer's surface stands off the body: rays where mask and body disagree, and how close they
+pass."""
 
 from __future__ import annotations
 
@@ -8,27 +9,34 @@ from dataclasses import dataclass
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.planning.observations import View
 from ndf_mi.projection import PosedSurface, Surface
 
-#: Metres from the body that are looked at; what stands off further counts as this.
+#: Largest distance from the body that is measured, in metres; larger ones count as this.
 REACH = 0.25
-#: Points along a ray that distances are taken at: a centimetre or two apart, which errs by a millimetre where the distance is a centimetre.
+#: Points along a ray where the distance is measured, one to two centimetres apart. The error is a millimetre
+#: where the distance is a centimetre.
 _POINTS = 160
-#: Rays looked along at a time.
+#: Rays in one kernel launch.
 _RAYS = 1 << 16
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Pixels of one kind: distances (K,) in metres, 0 or more, and what it costs (K,) to leave each out, as squared error in sRGB."""
+    """Pixels of one kind.
+
+    Attributes:
+        distance: (K,) metres, at least 0.
+        cost: (K,) squared error in sRGB of leaving each out.
+    """
 
     distance: np.ndarray
     cost: np.ndarray
 
     def reach(self, allowed: float) -> float:
-        """The least distance beyond which all pixels together cost no more than `allowed`; metres."""
+        """The smallest distance in metres beyond which all pixels together cost at most `allowed`."""
         order = np.argsort(-self.distance)
         beyond = np.cumsum(self.cost[order]) > allowed
         return float(self.distance[order][beyond.argmax()]) if beyond.any() else 0.0
@@ -36,12 +44,14 @@ class Disagreement:
 
 @dataclass(frozen=True)
 class Standoff:
-    """Where the masks hold more than the body's silhouette, and where less.
+    """Where the masks are larger than the body's silhouette, and where smaller.
 
     Attributes:
-        outside: pixels of the mask beside the body, by how close to the body their rays come: what is seen there is at least so far off it.
-        inside: pixels of the body beside the mask, by how deep in the body their rays pass: what is seen elsewhere lies at least so deep.
-        pixels: how many pixels the masks have in all.
+        outside: mask pixels off the body, by the smallest distance of their rays from the body: what they
+            show is at least that far off it.
+        inside: body pixels off the mask, by the largest depth of their rays in the body: what is seen
+            elsewhere lies at least that deep.
+        pixels: number of mask pixels.
     """
 
     outside: Disagreement
@@ -50,51 +60,57 @@ class Standoff:
 
 
 def standoff(capture: Capture, frames: Sequence[int], views: Sequence[View]) -> Standoff:
-    """Of the training images of `frames` that `views` are."""
+    """Compares masks and bodies.
+
+    Args:
+        frames: the frames that the views' indices refer to.
+        views: training images.
+    """
     surface = Surface(capture.body.faces, capture.body.uv, capture.body.uv_faces, capture.poses.vertices[0])
     cameras = [capture.cameras[name] for name in capture.splits["train"].cameras]
-    parts: dict[bool, list[tuple[np.ndarray, np.ndarray]]] = {True: [], False: []}
-    total = 0
     contrast = _contrast(capture, views)
+    outside, inside = [(np.zeros(0), np.zeros(0))], [(np.zeros(0), np.zeros(0))]
     for row, frame in enumerate(frames):
-        posed = PosedSurface(surface, mi.Float(capture.poses.vertices[capture.poses.index(frame)].ravel()), REACH)
-        low, high = (np.array(corner, dtype=np.float64).ravel() for corner in (posed.bbox.min, posed.bbox.max))
+        vertices = capture.poses.vertices[capture.poses.index(frame)]
+        posed = PosedSurface(surface, mi.Float(vertices.ravel()), REACH)
         for view in (view for view in views if view.frame == row):
-            total += int(view.mask.sum())
             camera = cameras[view.camera]
-            for beside in (True, False):
-                pixels = np.flatnonzero((view.mask & ~view.body if beside else view.body & ~view.mask).ravel())
-                if not len(pixels):
-                    continue
-                y, x = np.divmod(pixels, camera.w)
-                ray = camera.rays(mi.Point2f(mi.Float(x), mi.Float(y)) + 0.5)
-                origin, direction = np.array(ray.o).T.astype(np.float64), np.array(ray.d).T.astype(np.float64)
-                origin = np.broadcast_to(origin, direction.shape)
-                distance = np.concatenate([_closest(posed, origin[i : i + _RAYS], direction[i : i + _RAYS], low, high)
-                                           for i in range(0, len(pixels), _RAYS)])
-                colour = view.image.reshape(-1, 3)[pixels]
-                cost = np.mean((colour - capture.background) ** 2, axis=1) if beside else np.full(len(pixels), contrast)
-                parts[beside].append((np.maximum(distance if beside else -distance, 0), cost))
-    outside, inside = (Disagreement(*(np.concatenate([np.zeros(0), *(part[i] for part in parts[kind])]) for i in (0, 1)))
-                       for kind in (True, False))
-    return Standoff(outside, inside, total)
+            pixels = np.flatnonzero((view.mask & ~view.body).ravel())
+            cost = np.mean((view.image.reshape(-1, 3)[pixels] - capture.background) ** 2, axis=1)
+            outside.append((np.maximum(_smallest_distance(posed, camera, pixels), 0), cost))
+            pixels = np.flatnonzero((view.body & ~view.mask).ravel())
+            depth = np.maximum(-_smallest_distance(posed, camera, pixels), 0)
+            inside.append((depth, np.full(len(pixels), contrast)))
+    return Standoff(_joined(outside), _joined(inside), sum(int(view.mask.sum()) for view in views))
 
 
-def _closest(posed: object, origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(N,) the least signed distance, metres, along each ray; `REACH` where nothing is near."""
-    with np.errstate(divide="ignore"):
-        a, b = (low - origin) / direction, (high - origin) / direction
-    near, far = np.maximum(np.minimum(a, b).max(axis=1), 0), np.maximum(a, b).min(axis=1)
+def _joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> Disagreement:
+    distance, cost = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return Disagreement(distance, cost)
+
+
+def _smallest_distance(posed: PosedSurface, camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """(N,) smallest signed distance in metres along each pixel's ray; at most `REACH`."""
+    low, high = (np.array(corner, dtype=np.float64).ravel() for corner in (posed.bbox.min, posed.bbox.max))
     share = (np.arange(_POINTS) + 0.5) / _POINTS
-    t = near[:, None] + np.maximum(far - near, 0)[:, None] * share
-    points = (origin[:, None] + t[..., None] * direction[:, None]).reshape(-1, 3)
-    x = mi.Point3f(np.ascontiguousarray(points.T, dtype=np.float32))
-    found = posed.project(x)  # type: ignore[attr-defined]
-    distance = np.where(np.array(found.valid), np.array(found.l), REACH)
-    return np.asarray(distance.reshape(-1, _POINTS).min(axis=1), dtype=np.float64)
+    smallest = [np.zeros(0)]
+    for first in range(0, len(pixels), _RAYS):
+        y, x = np.divmod(pixels[first : first + _RAYS], camera.w)
+        ray = camera.rays(mi.Point2f(mi.Float(x), mi.Float(y)) + 0.5)
+        origin, direction = np.array(ray.o).T.astype(np.float64), np.array(ray.d).T.astype(np.float64)
+        with np.errstate(divide="ignore"):
+            a, b = (low - origin) / direction, (high - origin) / direction
+        near, far = np.maximum(np.minimum(a, b).max(axis=1), 0), np.maximum(a, b).min(axis=1)
+        t = near[:, None] + np.maximum(far - near, 0)[:, None] * share
+        points = (origin[:, None] + t[..., None] * direction[:, None]).reshape(-1, 3)
+        found = posed.project(mi.Point3f(np.ascontiguousarray(points.T, dtype=np.float32)))
+        distance = np.where(np.array(found.valid), np.array(found.l), REACH)
+        smallest.append(distance.reshape(-1, _POINTS).min(axis=1).astype(np.float64))
+    return np.concatenate(smallest)
 
 
 def _contrast(capture: Capture, views: Sequence[View]) -> float:
-    """Mean squared difference of the performer from the background."""
-    total = sum(float(((view.image[view.mask] - capture.background) ** 2).mean(axis=1).sum()) for view in views)
+    """Mean squared difference of the performer from the background in sRGB."""
+    total = sum(float(((view.image[view.mask] - capture.background) ** 2).mean(axis=1).sum())
+                for view in views)
     return total / max(sum(int(view.mask.sum()) for view in views), 1)

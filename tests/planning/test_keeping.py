@@ -1,4 +1,4 @@
-"""Whole plans of captures that need a part: a ball that turns in a fixed light, one that shines, one whose pattern follows its pose,
+"""Plans keep the parts that captures need: a ball in a fixed light, a glossy one, one whose pattern moves,
 and one in clothes."""
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from ndf_mi.planning.planner import full_model, plan
 FRAMES = 8
 
 
-def written(path: Path, vertices: np.ndarray, pose: np.ndarray, turns: np.ndarray, colours: np.ndarray, *, worn: float = 1.0,
+def written(path: Path, vertices: np.ndarray, pose: np.ndarray, turns: np.ndarray, colours: np.ndarray, *,
+            worn: float = 1.0,
             shining: Callable[[Camera, np.ndarray], np.ndarray] | None = None) -> Capture:
     """A capture of a ball, from four cameras.
 
     Args:
-        vertices: (T, V, 3); pose: (T, 2, 3); turns: (T, 3) of the root; colours: (T, 3·F, 3) sRGB of the triangles' corners.
+        vertices: (T, V, 3); pose: (T, 2, 3); turns: (T, 3) of the root; colours: (T, 3·F, 3) sRGB of the
+            triangles' corners.
         worn: what is drawn is so many times the size of the body.
         shining: (3·F,) added to the colours, by the camera and a frame's vertices.
     """
     body = sphere()
-    poses = Poses(np.arange(FRAMES), vertices.astype(np.float32), pose.astype(np.float32), turns.astype(np.float32),
+    poses = Poses(np.arange(FRAMES), vertices.astype(np.float32), pose.astype(np.float32),
+                  turns.astype(np.float32),
                   np.zeros((FRAMES, 3), np.float32))
     cameras = {f"c{i}": ring_camera(f"c{i}", 1.57 * i, 0.5 * (-1) ** i) for i in range(4)}
     splits = {"train": Split(tuple(cameras), tuple(range(FRAMES)))}
@@ -39,7 +42,8 @@ def written(path: Path, vertices: np.ndarray, pose: np.ndarray, turns: np.ndarra
     writer = CaptureWriter(path, document)
     for camera, frame in document.images():
         added = 0.0 if shining is None else shining(cameras[camera], vertices[frame])[:, None]
-        writer.write(camera, frame, *draw(body, worn * vertices[frame], cameras[camera], colours[frame] + added))
+        writer.write(camera, frame,
+                     *draw(body, worn * vertices[frame], cameras[camera], colours[frame] + added))
     writer.finish(body, poses)
     return Capture.read(path)
 
@@ -50,13 +54,15 @@ def test_shading_of_a_ball_that_turns_in_a_fixed_light_keeps_the_normal(tmp_path
     turns = np.array([[0, 2 * np.pi * frame / FRAMES, 0] for frame in range(FRAMES)])
     vertices = np.stack([Rotation.from_rotvec(turn).apply(body.template) for turn in turns])
     light = np.array([0.8, 0.6, 0.0])
-    normals = vertices[:, body.faces.ravel()] / np.linalg.norm(vertices[:, body.faces.ravel()], axis=-1, keepdims=True)
+    normals = vertices[:, body.faces.ravel()] / np.linalg.norm(vertices[:, body.faces.ravel()], axis=-1,
+                                                               keepdims=True)
     shading = 0.4 + 0.6 * np.maximum(normals @ light, 0)[..., None]
     capture = written(tmp_path / "light", vertices, np.zeros((FRAMES, 2, 3)), turns,
                       shading * known_texture(body.uv[body.uv_faces.ravel()]))
     found, full = plan(capture), full_model()
     assert found.preset.normal_octaves == full.normal_octaves
-    assert (found.preset.colour_layers, found.preset.feature_width) == (full.colour_layers, full.feature_width)
+    assert (found.preset.colour_layers, found.preset.feature_width) == (full.colour_layers,
+                                                                        full.feature_width)
     assert found.preset.pose_layers == ()
     assert {finding.key for finding in found.findings if not finding.left_out} >= {"light"}
 
@@ -64,11 +70,14 @@ def test_shading_of_a_ball_that_turns_in_a_fixed_light_keeps_the_normal(tmp_path
 @pytest.mark.long
 def test_a_pattern_that_follows_the_pose_keeps_the_pose(tmp_path: Path) -> None:
     body = sphere()
-    # A ball that is stretched in every other frame, which its normals show, and around which a pattern moves, which they do not.
-    vertices = np.stack([body.template * ((1, 1, 1) if frame % 2 else (0.95, 1.1, 0.95)) for frame in range(FRAMES)])
+    # The ball is stretched in every other frame, which its normals show; the pattern moves, which they do
+    # not.
+    vertices = np.stack([body.template * ((1, 1, 1) if frame % 2 else (0.95, 1.1, 0.95))
+                         for frame in range(FRAMES)])
     moved = np.linspace(-1, 1, FRAMES)
     uv = body.uv[body.uv_faces.ravel()]
-    capture = written(tmp_path / "pose", vertices, np.stack([np.array([[0, 0, 0], [0, 0, m]]) for m in moved]), np.zeros((FRAMES, 3)),
+    capture = written(tmp_path / "pose", vertices,
+                      np.stack([np.array([[0, 0, 0], [0, 0, m]]) for m in moved]), np.zeros((FRAMES, 3)),
                       np.stack([known_texture(uv + (0.06 * m, 0)) for m in moved]))
     found, full = plan(capture), full_model()
     assert found.preset.pose_layers == full.pose_layers and found.preset.colour_layers == full.colour_layers
@@ -95,7 +104,8 @@ def test_highlights_of_a_ball_that_turns_keep_the_view_mirrored(tmp_path: Path) 
         mirrored = 2 * (away * normal).sum(1, keepdims=True) * normal - away
         return 0.5 * np.maximum(mirrored @ light, 0) ** 4
 
-    colours = np.broadcast_to(0.6 * known_texture(body.uv[body.uv_faces.ravel()]), (FRAMES, body.faces.size, 3))
+    colours = np.broadcast_to(0.6 * known_texture(body.uv[body.uv_faces.ravel()]),
+                              (FRAMES, body.faces.size, 3))
     still = np.zeros((FRAMES, 2, 3))
     found = plan(written(tmp_path / "shining", vertices, still, turns, colours, shining=shining)).preset
     assert (found.direction_octaves, found.direction) == (full_model().direction_octaves, "mirrored")
@@ -105,10 +115,11 @@ def test_highlights_of_a_ball_that_turns_keep_the_view_mirrored(tmp_path: Path) 
 
 @pytest.mark.long
 def test_bands_reach_as_far_as_what_is_worn(tmp_path: Path) -> None:
-    """And half of a pixel further: 2.2 m away, less the ball's half metre, a pixel spans about 26 mm."""
+    """And half a pixel further: at 2.2 m minus the ball's half metre, a pixel spans about 26 mm."""
     body = sphere()
     turns, vertices = turning()
     colours = np.broadcast_to(known_texture(body.uv[body.uv_faces.ravel()]), (FRAMES, body.faces.size, 3))
-    bands = [plan(written(tmp_path / str(worn), vertices, np.zeros((FRAMES, 2, 3)), turns, colours, worn=worn)).preset.band
+    bands = [plan(written(tmp_path / str(worn), vertices, np.zeros((FRAMES, 2, 3)), turns, colours,
+                          worn=worn)).preset.band
              for worn in (1.0, 1.12)]
     assert 0.013 <= bands[0] < 0.05 and bands[1] >= 0.06 + 0.013
