@@ -1,1 +1,1 @@
-"""A trained field in motions that it was not trained on: cameras, frames on disk, video."""
+"""Renders a trained field in new motions: cameras, frames on disk, video."""

@@ -1,4 +1,4 @@
-"""A run's field in a performance: its image at each frame, and what decides it."""
+"""The images of a field in a performance, and a key that changes with anything that changes an image."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ndf_mi.run import Run
 
 
 class Animation:
-    """A field that moves.
+    """A field in motion.
 
     Args:
         run: the field.
@@ -28,16 +28,8 @@ class Animation:
         background: (3,) sRGB; the run's own by default.
     """
 
-    def __init__(
-        self,
-        run: Run,
-        performance: Performance,
-        cameras: Sequence[Camera],
-        *,
-        samples: int = 128,
-        spp: int = 1,
-        background: np.ndarray | Sequence[float] | None = None,
-    ) -> None:
+    def __init__(self, run: Run, performance: Performance, cameras: Sequence[Camera], *, samples: int = 128,
+                 spp: int = 1, background: np.ndarray | Sequence[float] | None = None) -> None:
         self._run = run
         self._performance = performance
         self._cameras = cameras
@@ -50,31 +42,36 @@ class Animation:
         posed = self._run.posed_as(self._performance.vertices(frame), self._performance.motion.pose[frame])
         return self._renderer(posed, self._cameras[frame]).over(self._background)
 
-    def fingerprint(self, frame: int) -> str:
-        """SHA-256 of all that decides the image of a frame: the field, the pose, the shape, the camera and how it is rendered."""
+    def cache_key(self, frame: int) -> str:
+        """SHA-256 of everything that a frame's image depends on: field, pose, shape, camera and render
+        settings."""
         p, camera = self._performance, self._cameras[frame]
-        view = [camera.w, camera.h, *(round(float(v), 6) for v in (camera.fl_x, camera.fl_y, camera.cx, camera.cy, *camera.transform.flat))]
-        how = [self._renderer.samples, self._renderer.spp, [float(v) for v in self._background]]
-        state = hashlib.sha256(json.dumps([ndf_mi.__version__, self._field, view, how]).encode())
+        intrinsics = (camera.fl_x, camera.fl_y, camera.cx, camera.cy, *camera.transform.flat)
+        view = [camera.w, camera.h, *(round(float(v), 6) for v in intrinsics)]
+        settings = [self._renderer.samples, self._renderer.spp, [float(v) for v in self._background]]
+        digest = hashlib.sha256(json.dumps([ndf_mi.__version__, self._field, view, settings]).encode())
         arrays = [p.motion.pose[frame], p.motion.root_rotation[frame], p.motion.translation[frame]]
         for array in (*arrays, p.shape, None if p.stored is None else p.stored[frame]):
-            state.update(b"none" if array is None else np.ascontiguousarray(array, dtype=np.float32).tobytes())
-        return state.hexdigest()
+            digest.update(b"none" if array is None
+                          else np.ascontiguousarray(array, dtype=np.float32).tobytes())
+        return digest.hexdigest()
 
     def missing(self, folder: FrameFolder, frames: Sequence[int]) -> dict[int, str]:
-        """Those of ``frames`` that are not in the folder as they would be rendered, with their fingerprints."""
-        prints = {frame: self.fingerprint(frame) for frame in frames}
-        return {frame: print_ for frame, print_ in prints.items() if not folder.has(frame, print_)}
+        """The frames that the folder lacks or has with another key, with their keys."""
+        keys = {frame: self.cache_key(frame) for frame in frames}
+        return {frame: key for frame, key in keys.items() if not folder.has(frame, key)}
 
-    def write(self, folder: FrameFolder, missing: dict[int, str], progress: Callable[[], None] = lambda: None) -> None:
-        """Renders the frames that `missing` found and writes each as it comes; ``progress`` is called after each."""
-        for frame, print_ in missing.items():
-            folder.write(frame, self.image(frame), print_)
+    def write(self, folder: FrameFolder, missing: dict[int, str],
+              progress: Callable[[], None] = lambda: None) -> None:
+        """Renders and writes the frames that :meth:`missing` returned, one by one; calls `progress` after
+        each."""
+        for frame, key in missing.items():
+            folder.write(frame, self.image(frame), key)
             progress()
 
 
 def boxes(performance: Performance) -> np.ndarray:
-    """(T, 2, 3): the least and the largest corner of the vertices at each frame."""
+    """(T, 2, 3) lower and upper corners of the vertices at each frame."""
     corners = []
     for frame in range(len(performance)):
         vertices = performance.vertices(frame)
@@ -83,10 +80,10 @@ def boxes(performance: Performance) -> np.ndarray:
 
 
 def _field_digest(run: Run) -> str:
-    """SHA-256 of the architecture, the weights and the body with the poses that it was made around."""
-    state = hashlib.sha256(json.dumps(run.config["preset"], sort_keys=True).encode())
+    """SHA-256 of the architecture, the parameters, and the body and poses that they were trained with."""
+    digest = hashlib.sha256(json.dumps(run.config["preset"], sort_keys=True).encode())
     for _, tensor in sorted(run.field_tensors().items()):
-        state.update(tensor.tobytes())
+        digest.update(tensor.tobytes())
     for name in ("body.npz", "poses.npz"):
-        state.update((run.path / name).read_bytes())
-    return state.hexdigest()
+        digest.update((run.path / name).read_bytes())
+    return digest.hexdigest()

@@ -1,4 +1,5 @@
-"""Cameras for every frame of an animation: around the performer, from a capture, or from keyframes in a JSON file."""
+"""A camera for each frame of an animation: an orbit around the performer, a capture's camera, or keyframes in
+JSON."""
 
 from __future__ import annotations
 
@@ -18,40 +19,44 @@ from ndf_mi.json_input import load_json
 _FOLLOW_SECONDS = 0.5
 
 
-def orbit(
-    boxes: np.ndarray, w: int, h: int, fps: float, *, turns: float = 1.0, azimuth: float = 0.0, elevation: float = 5.0
-) -> list[Camera]:
-    """Cameras that go round a performer and follow it, smoothly, at a distance that keeps every frame's box in the image.
+def orbit(boxes: np.ndarray, w: int, h: int, fps: float, *, turns: float = 1.0, azimuth: float = 0.0,
+          elevation: float = 5.0) -> list[Camera]:
+    """Cameras that circle a performer and follow it smoothly, at a distance that keeps every frame's box in
+    the image.
 
     Args:
-        boxes: (T, 2, 3) least and largest corner of each frame's vertices, metres.
+        boxes: (T, 2, 3) lower and upper corner of each frame's vertices, metres.
         w, h: image size in pixels.
-        fps: frames a second; the path of the box's centre is smoothed by a Gaussian of half a second.
+        fps: frames a second; a Gaussian of half a second smooths the path of the box's centre.
         turns: full turns over all T frames, anticlockwise seen from above; 0 keeps the direction.
-        azimuth, elevation: degrees of the first frame, as in `ndf_mi.capture.viewpoint.framing`.
+        azimuth, elevation: degrees at the first frame, as in `ndf_mi.capture.viewpoint.framing`.
     """
     boxes = boxes.astype(np.float64)
     centres = boxes.mean(1)
     sigma = _FOLLOW_SECONDS * fps
     margin = int(np.ceil(4 * sigma))
-    # Continued by point reflection at both ends, so that a steady walk is followed without lag from its first frame to its last.
-    longer = np.pad(centres, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    path = gaussian_filter1d(longer, sigma, axis=0)[margin : margin + len(boxes)]
-    radius = (0.5 * np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) + np.linalg.norm(centres - path, axis=1)).max()
+    # Point reflection at both ends, so that the camera follows a steady walk without lag from the first frame
+    # to the last.
+    padded = np.pad(centres, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
+    path = gaussian_filter1d(padded, sigma, axis=0)[margin : margin + len(boxes)]
+    radius = (0.5 * np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) + np.linalg.norm(centres - path,
+                                                                                       axis=1)).max()
     corner = np.full(3, radius / np.sqrt(3.0))
     angles = azimuth + 360.0 * turns * np.arange(len(boxes)) / len(boxes)
-    return [framing(np.stack([c - corner, c + corner]), w, h, float(a), elevation) for c, a in zip(path, angles, strict=True)]
+    return [framing(np.stack([c - corner, c + corner]), w, h, float(a), elevation) for c,
+            a in zip(path, angles, strict=True)]
 
 
 def read_cameras(source: str, count: int, fps: float) -> list[Camera]:
     """A camera for each of ``count`` frames, ``fps`` a second.
 
     Args:
-        source: ``CAPTURE:NAME``, a camera of the capture in the folder CAPTURE; a ``capture.json`` that has only one; or a JSON file of
-            keyframes (see `ndf_mi.animate.keyframes`).
+        source: ``CAPTURE:NAME`` for a camera of the capture in the folder CAPTURE; CAPTURE or its
+            ``capture.json`` if the capture has one camera; or a JSON file of keyframes (see
+            `ndf_mi.animate.keyframes`).
 
     Raises:
-        InputError: no such file or camera, or what is wrong in the file, by key.
+        InputError: there is no such file or camera, or an entry of the file is wrong.
     """
     path = Path(source)
     if not path.exists() and ":" in source:
@@ -72,7 +77,8 @@ def _captured(path: Path, name: str | None) -> Camera:
         return next(iter(cameras.values())).pinhole()
     if name not in cameras:
         found = f"{len(cameras)} cameras" if name is None else f"no camera {name}"
-        raise InputError(folder / FILE_NAME, found, f"one of {', '.join(cameras)}", f"Say which: --camera {path}:{next(iter(cameras))}")
+        raise InputError(folder / FILE_NAME, found, f"one of {', '.join(cameras)}",
+                         f"Name it, for example: --camera {path}:{next(iter(cameras))}")
     return cameras[name].pinhole()
 
 

@@ -1,13 +1,15 @@
 """Keyframed cameras in JSON, in nerfstudio's two layouts.
 
-* Like ``transforms.json``: ``frames``, a list of objects with ``transform_matrix`` (4 × 4, camera to world, x right, y up, looking
-  along -z; metres, y up) and optionally ``time`` in seconds; ``w``, ``h``, ``fl_x``, ``fl_y``, ``cx``, ``cy`` in pixels in each of them
-  or once beside ``frames``. ``fl_y`` is ``fl_x`` by default, the principal point the image's centre; distortion is left out.
-* Like the viewer's export: ``camera_path``, a list of objects with ``camera_to_world`` (16 numbers, row by row) and ``fov``, the
-  vertical field of view in degrees; ``render_width`` and ``render_height`` beside it.
+* ``transforms.json``: a list ``frames`` of objects with ``transform_matrix`` (4 × 4, camera to world, x
+  right, y up, looking along -z; metres, y up) and optionally ``time`` in seconds; ``w``, ``h``, ``fl_x``,
+  ``fl_y``, ``cx``, ``cy`` in pixels, in each object or once at the top level. By default ``fl_y`` equals
+  ``fl_x`` and the principal point is the image's centre. Distortion is ignored.
+* The viewer's export: a list ``camera_path`` of objects with ``camera_to_world`` (16 numbers, row by row) and
+  ``fov``, the vertical field of view in degrees; ``render_width`` and ``render_height`` at the top level.
 
-Without ``time`` the keyframes are spread evenly over the animation. Between keyframes positions and intrinsics are linear and rotations
-take the shortest way at constant speed; before the first and after the last the camera stands still.
+Without ``time`` the keyframes are spread evenly over the animation. Positions and intrinsics are interpolated
+linearly, rotations spherically at constant speed. The camera stands still before the first and after the last
+keyframe.
 """
 
 from __future__ import annotations
@@ -27,22 +29,23 @@ from ndf_mi.json_input import number, shown
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A camera and, where the file gives them, the seconds after the first frame at which it is reached."""
+    """A camera, and the time in seconds after the first frame at which it is reached, if the file gives
+    it."""
 
     time: float | None
     camera: Camera
 
 
 def read_keyframes(document: dict[str, Any], path: Path) -> list[Keyframe]:
-    """The keyframes of a file, at least one, all of one image size.
+    """The keyframes of a document, at least one, all of one image size.
 
     Raises:
-        InputError: naming the file and key, what was found and what was expected.
+        InputError: an entry is missing or wrong.
     """
     key = "camera_path" if "camera_path" in document else "frames"
     entries = document.get(key)
     if not isinstance(entries, list) or not entries:
-        raise InputError(path, f"no list {key} of cameras", "frames, as transforms.json has them, or camera_path")
+        raise InputError(path, f"no list {key} of cameras", "frames as in transforms.json, or camera_path")
     read = _exported if key == "camera_path" else _transforms
     frames = []
     for i, entry in enumerate(entries):
@@ -52,12 +55,14 @@ def read_keyframes(document: dict[str, Any], path: Path) -> list[Keyframe]:
         time = None if entry.get("time") is None else number(entry["time"], f"{where}.time", 0)
         frames.append(Keyframe(time, read({**document, **entry}, where)))
         if (time is None) != (frames[0].time is None):
-            raise InputError(f"{where}.time", "a keyframe unlike the first", "a time in every keyframe or in none")
+            raise InputError(f"{where}.time", "a time here but not in the first keyframe, or the reverse",
+                             "a time in every keyframe or in none")
         if time is not None and i and time <= (frames[i - 1].time or 0):
-            raise InputError(f"{where}.time", f"{time:g}", "seconds, each more than the one before")
+            raise InputError(f"{where}.time", f"{time:g}", "seconds that increase from keyframe to keyframe")
         first, camera = frames[0].camera, frames[i].camera
         if (camera.w, camera.h) != (first.w, first.h):
-            raise InputError(where, f"{camera.w} x {camera.h} pixels", f"{first.w} x {first.h}, as the first has")
+            raise InputError(where, f"{camera.w} x {camera.h} pixels",
+                             f"{first.w} x {first.h} as in the first")
     return frames
 
 
@@ -89,7 +94,8 @@ def _transforms(entry: dict[str, Any], where: str) -> Camera:
     fl_x = number(entry.get("fl_x"), f"{where}.fl_x", 1e-6)
     defaults = {"fl_y": fl_x, "cx": w / 2, "cy": h / 2}
     fl_y, cx, cy = (number(entry.get(key, value), f"{where}.{key}") for key, value in defaults.items())
-    return Camera("keyframes", w, h, fl_x, fl_y, cx, cy, _rigid(entry.get("transform_matrix"), f"{where}.transform_matrix"))
+    transform = _rigid(entry.get("transform_matrix"), f"{where}.transform_matrix")
+    return Camera("keyframes", w, h, fl_x, fl_y, cx, cy, transform)
 
 
 def _exported(entry: dict[str, Any], where: str) -> Camera:
@@ -98,7 +104,8 @@ def _exported(entry: dict[str, Any], where: str) -> Camera:
     if fov >= 180:
         raise InputError(f"{where}.fov", f"{fov:g}", "degrees below 180")
     focal = 0.5 * h / math.tan(math.radians(0.5 * fov))
-    return Camera("keyframes", w, h, focal, focal, w / 2, h / 2, _rigid(entry.get("camera_to_world"), f"{where}.camera_to_world"))
+    transform = _rigid(entry.get("camera_to_world"), f"{where}.camera_to_world")
+    return Camera("keyframes", w, h, focal, focal, w / 2, h / 2, transform)
 
 
 def _whole(value: Any, where: str) -> int:
@@ -114,9 +121,10 @@ def _rigid(value: Any, where: str) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         raise InputError(where, shown(value), "4 x 4 numbers, camera to world") from None
     turn = matrix[:3, :3]
-    if not np.isfinite(matrix).all() or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-3 or np.linalg.det(turn) < 0:
-        raise InputError(where, "a matrix that is not a rotation and a translation", "a rigid motion, right-handed")
+    rotation = np.isfinite(matrix).all() and np.abs(turn @ turn.T - np.eye(3)).max() <= 1e-3
+    if not rotation or np.linalg.det(turn) < 0:
+        raise InputError(where, "a matrix that is no rotation and translation", "a right-handed rigid motion")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
         raise InputError(f"{where}[3]", shown(matrix[3].tolist()), "[0, 0, 0, 1]",
-                         "The numbers go row by row, the translation at the rows' ends.")
+                         "Numbers are row by row, with the translation in the last column.")
     return matrix

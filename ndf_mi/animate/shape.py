@@ -1,4 +1,4 @@
-"""Shape coefficients as a user writes them: by name, or as numbers in their order."""
+"""Shape coefficients from the command line: by name, or as numbers in order."""
 
 from __future__ import annotations
 
@@ -11,28 +11,35 @@ _WHERE = "--shape"
 
 
 def parse_shape(text: str, body: Body, performer: np.ndarray | None) -> np.ndarray:
-    """``height=0.3,weight=-0.5`` or ``0.3,-0.5`` as (B,) float32 coefficients: those named, or the first ones, are replaced in the
-    performer's own (zeros where they are not known).
+    """The performer's shape coefficients, (B,) float32, with some replaced.
+
+    Args:
+        text: ``height=0.3,weight=-0.5`` for the named coefficients, or ``0.3,-0.5`` for the first ones.
+        body: the run's body.
+        performer: (B,) the performer's own; zeros if None.
 
     Raises:
-        InputError: a body without a model or without shape coefficients, an unknown name, too many numbers, or no finite number.
+        InputError: the body has no skinning model or shape coefficients, a name is unknown, there are too
+            many numbers, or one is not finite.
     """
     if not body.skinned or body.shape_count == 0:
         missing = "skinning model" if not body.skinned else "shape coefficients"
-        raise InputError(_WHERE, f"a run whose body has no {missing}", "a body with both, to be reshaped by")
+        raise InputError(_WHERE, f"a run whose body has no {missing}",
+                         "a body with a skinning model and shape coefficients")
     names = body.shape_names or ()
     shape = np.zeros(body.shape_count, np.float32) if performer is None else np.array(performer, np.float32)
     parts = [part.strip() for part in text.split(",")]
     named = ["=" in part for part in parts]
     if any(named) and not all(named):
-        raise InputError(_WHERE, repr(text), "either NAME=NUMBER throughout or numbers alone")
+        raise InputError(_WHERE, repr(text), "NAME=NUMBER for all or numbers for all")
     if len(parts) > body.shape_count:
-        raise InputError(_WHERE, f"{len(parts)} coefficients", f"at most {body.shape_count}, as the body has")
+        raise InputError(_WHERE, f"{len(parts)} coefficients",
+                         f"at most {body.shape_count}, the number that the body has")
     for i, part in enumerate(parts):
         name, _, value = part.rpartition("=")
         name = name.strip()
         if named[0] and name not in names:
-            expected = f"one of {', '.join(names)}" if names else "numbers alone, since the body names no coefficient"
+            expected = "one of " + ", ".join(names) if names else "numbers: the body's coefficients have no names"
             raise InputError(_WHERE, f"the name {name!r}", expected)
         shape[names.index(name) if named[0] else i] = _number(value, text)
     return shape

@@ -1,4 +1,4 @@
-"""``ndf-mi animate``: a run in another motion, as a video."""
+"""``ndf-mi animate``: renders a run in another motion, as a video."""
 
 from __future__ import annotations
 
@@ -21,34 +21,38 @@ if TYPE_CHECKING:
 
 @dataclass
 class Animate:
-    """Render a trained field in any motion, as an MP4. Interrupt it when you like; the same command goes on where it was.
+    """Render a trained field in any motion, as an MP4. Interrupt it at any time; the same command continues.
 
-    Frames are kept beside the video, in OUT.frames. Those that are there and show what is asked for are not rendered again.
+    Frames are kept next to the video, in OUT.frames. Frames that are still valid are not rendered again.
     """
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of the run."""
 
     motion: str
-    """A .bvh file, an AMASS-like .npz, a capture's poses.npz, JSON keyframes, or a clip of the package: climb, jump, walk."""
+    """A .bvh file, an AMASS-like .npz, a capture's poses.npz, JSON keyframes, or a built-in clip: climb,
+    jump, walk."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The video: NAME.mp4."""
 
     camera: str = "orbit"
-    """orbit: round the performer, following it. CAPTURE:NAME: a camera of a capture. FILE: keyframed cameras in nerfstudio's JSON."""
+    """orbit: circle the performer and follow it. CAPTURE:NAME: a camera of a capture. FILE: keyframed cameras
+    in nerfstudio's JSON."""
 
     shape: str | None = None
-    """Shape coefficients in place of the performer's: by name, as height=0.3,weight=-0.5, or the first ones as numbers."""
+    """Shape coefficients that replace the performer's: by name, as in height=0.3,weight=-0.5, or the first
+    ones as numbers."""
 
     fps: float | None = None
-    """Frames a second: by default a JSON motion's own, else 30. A poses.npz is played one row a frame."""
+    """Frames a second. By default those of a JSON motion, else 30. A poses.npz has one row a frame."""
 
     frames: str | None = None
-    """Some of the motion's frames, as FIRST:END:STEP like a slice in Python; a step lowers the video's frame rate."""
+    """Part of the motion's frames as FIRST:END:STEP, like a Python slice; a step lowers the video's frame
+    rate."""
 
     size: tuple[int, int] | None = None
-    """Width and height in pixels; by default the camera's own, 512 × 512 for orbit."""
+    """Width and height in pixels. By default the camera's own, or 512 × 512 for orbit."""
 
     spp: int = 1
     """Rays a pixel."""
@@ -60,13 +64,14 @@ class Animate:
     """sRGB in [0, 1] behind the performer; by default the run's own."""
 
     place: Literal["world", "centre", "treadmill"] = "world"
-    """world: the motion's own path. centre: the middle of the path over the origin. treadmill: always over the origin."""
+    """world: the motion's own path. centre: the path, centred at the origin. treadmill: always above the
+    origin."""
 
     up: Literal["z", "y"] | None = None
-    """AMASS-like motion: its vertical axis; z by default."""
+    """Vertical axis of an AMASS-like motion; z by default."""
 
     turns: float | None = None
-    """orbit: full turns over the whole motion; 1 by default, 0 keeps the direction."""
+    """orbit: full turns over the whole motion; 1 by default. 0 keeps the direction."""
 
     azimuth: float | None = None
     """orbit: degrees around the performer at the first frame; 0 by default."""
@@ -87,16 +92,18 @@ class Animate:
         self._check()
         run = Run.load(self.run_folder)
         shape = None if self.shape is None else parse_shape(self.shape, run.body, run.poses.shape)
-        performance = read_performance(
-            self.motion, run.body, run.poses, shape=shape, fps=self.fps, place=self.place, up=self.up)  # fmt: skip
+        performance = read_performance(self.motion, run.body, run.poses, shape=shape, fps=self.fps,
+                                       place=self.place,
+                                       up=self.up)
         frames = self._frames(len(performance))
         rate = performance.fps / frames.step
         if not 0.1 <= rate <= 240:
-            raise InputError("--frames" if self.frames else "--fps", f"{rate:g} frames a second", "a video of 0.1 to 240")
+            raise InputError("--frames" if self.frames else "--fps", f"{rate:g} frames a second",
+                             "a video of 0.1 to 240")
         cameras = self._cameras(performance)
-        animation = Animation(
-            run, performance, cameras, samples=self.samples, spp=self.spp, background=self.background)  # fmt: skip
-        folder = FrameFolder(self.out.with_suffix(".frames"), self._asked(run))
+        animation = Animation(run, performance, cameras, samples=self.samples, spp=self.spp,
+                              background=self.background)
+        folder = FrameFolder(self.out.with_suffix(".frames"), self._request(run))
         self._render(animation, folder, frames, rate)
         print(f"{self.out}: {len(frames)} frames, {len(frames) / rate:.1f} s")
         return 0
@@ -110,7 +117,8 @@ class Animate:
         if self.fps is not None and not 0 < self.fps < float("inf"):
             raise InputError("--fps", f"{self.fps:g}", "frames a second, above 0")
         if self.background is not None and not all(0 <= v <= 1 for v in self.background):
-            raise InputError("--background", " ".join(f"{v:g}" for v in self.background), "three numbers in [0, 1]")
+            raise InputError("--background", " ".join(f"{v:g}" for v in self.background),
+                             "three numbers in [0, 1]")
         if self.elevation is not None and not -90 < self.elevation < 90:
             raise InputError("--elevation", str(self.elevation), "degrees between -90 and 90")
         for name in ("turns", "azimuth"):
@@ -119,10 +127,10 @@ class Animate:
                 raise InputError(f"--{name}", f"{value:g}", "a finite number")
         for name in ("turns", "azimuth", "elevation"):
             if getattr(self, name) is not None and self.camera != "orbit":
-                raise InputError(f"--{name}", f"it together with --camera {self.camera}", "it with --camera orbit only")
+                raise InputError(f"--{name}", f"it together with --camera {self.camera}", "--camera orbit")
 
     def _frames(self, count: int) -> range:
-        """The motion's frames that were asked for, ascending."""
+        """The requested frames of the motion, in order."""
         if self.frames is None:
             return range(count)
         try:
@@ -130,10 +138,12 @@ class Animate:
         except ValueError:
             parts = []
         if not 2 <= len(parts) <= 3 or (len(parts) == 3 and parts[2] is not None and parts[2] < 1):
-            raise InputError("--frames", repr(self.frames), "FIRST:END or FIRST:END:STEP, whole numbers, a step above 0")
+            raise InputError("--frames", repr(self.frames),
+                             "FIRST:END or FIRST:END:STEP, whole numbers, a step above 0")
         chosen = range(count)[slice(*parts)]
         if len(chosen) == 0:
-            raise InputError("--frames", f"none of the motion's frames in {self.frames!r}", f"some of 0 to {count - 1}")
+            raise InputError("--frames", f"no frame of the motion in {self.frames!r}",
+                             f"frames from 0 to {count - 1}")
         return chosen
 
     def _cameras(self, performance: Performance) -> list[Camera]:
@@ -141,14 +151,16 @@ class Animate:
         from ndf_mi.animate.cameras import orbit, read_cameras
 
         if self.camera == "orbit":
-            given = {name: getattr(self, name) for name in ("turns", "azimuth", "elevation") if getattr(self, name) is not None}
+            names = ("turns", "azimuth", "elevation")
+            given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
             return orbit(boxes(performance), *(self.size or (512, 512)), performance.fps, **given)
         cameras = read_cameras(self.camera, len(performance), performance.fps)
         return cameras if self.size is None else [camera.scaled(*self.size) for camera in cameras]
 
-    def _asked(self, run: Run) -> dict[str, Any]:
-        """What was asked for, for people who find the frames."""
-        values = {name: getattr(self, name) for name in type(self).__dataclass_fields__ if name not in ("out", "run_folder")}
+    def _request(self, run: Run) -> dict[str, Any]:
+        """The options, for people who find the frames."""
+        names = (name for name in type(self).__dataclass_fields__ if name not in ("out", "run_folder"))
+        values = {name: getattr(self, name) for name in names}
         return {"run": str(run.path)} | {name: value for name, value in values.items() if value is not None}
 
     def _render(self, animation: Animation, folder: FrameFolder, frames: range, rate: float) -> None:
@@ -163,6 +175,7 @@ class Animate:
                 write_video(self.out, paths, rate, progress.phase("encoding", len(frames), len(frames)))
             except KeyboardInterrupt:
                 progress.stop()
-                left = len(animation.missing(folder, frames))
-                print(f"stopped with {len(frames) - left} of {len(frames)} frames in {folder.path}; the same command goes on there")
+                done = len(frames) - len(animation.missing(folder, frames))
+                print(f"stopped with {done} of {len(frames)} frames in {folder.path}; the same command "
+                      "continues")
                 raise

@@ -1,4 +1,4 @@
-"""What ``ndf-mi animate`` shows in the terminal: frames rendered and encoded, and the time that is left."""
+"""Progress of ``ndf-mi animate`` in the terminal: frames rendered and encoded, and the time remaining."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 
 class FrameProgress:
-    """One line a phase; use as a context manager. Nothing is shown where the stream is no terminal."""
+    """A progress bar for each phase; a context manager. Shows nothing if the stream is no terminal."""
 
     def __init__(self, stream: TextIO) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[facts]}"), TimeElapsedColumn(),
-                   TextColumn("left"), TimeRemainingColumn())  # fmt: skip
+        columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[count]}"),
+                   TimeElapsedColumn(),
+                   TextColumn("left"), TimeRemainingColumn())
         self._progress = Progress(*columns, console=Console(file=stream), disable=not stream.isatty())
 
     def __enter__(self) -> FrameProgress:
@@ -25,17 +26,18 @@ class FrameProgress:
         self.stop()
 
     def stop(self) -> None:
-        """Leaves the lines as they are, so that text may follow."""
+        """Stops drawing, so that text can follow."""
         self._progress.stop()
 
-    def phase(self, name: str, todo: int, of: int) -> Callable[[], None]:
-        """A line for ``todo`` of ``of`` frames, the others being there already; what it returns is called after each."""
-        done = of - todo
-        task = self._progress.add_task(name, total=todo, facts=f"frame {done} of {of}")
+    def phase(self, name: str, todo: int, total: int) -> Callable[[], None]:
+        """Adds a bar for `todo` of `total` frames, the others being done; returns what to call after each
+        frame."""
+        done = total - todo
+        task = self._progress.add_task(name, total=todo, count=f"frame {done} of {total}")
 
         def step() -> None:
             nonlocal done
             done += 1
-            self._progress.update(task, advance=1, facts=f"frame {done} of {of}")
+            self._progress.update(task, advance=1, count=f"frame {done} of {total}")
 
         return step

@@ -17,14 +17,17 @@ from ndf_mi.run import Run
 
 @pytest.fixture
 def model_run(tmp_path: Path) -> Run:
-    """The lower half of the ball follows the root, the upper half a joint in its middle; ``wide`` doubles x, ``tall`` doubles y."""
+    """The lower half of the ball follows the root, the upper half a joint in its middle; ``wide`` doubles x,
+    ``tall`` doubles y."""
     body, poses = ball()
     assert body.template is not None
     upper = (body.template[:, 1] > 0).astype(np.float32)
     body = Body(
-        body.faces, body.uv, body.uv_faces, body.template, joints=np.array([[0, -0.3, 0], [0, 0, 0]], np.float32),
+        body.faces, body.uv, body.uv_faces, body.template,
+        joints=np.array([[0, -0.3, 0], [0, 0, 0]], np.float32),
         joint_names=("bottom", "middle"), parents=np.array([-1, 0]), weights=np.stack([1 - upper, upper], 1),
-        shape_dirs=body.template[..., None] * np.eye(3, dtype=np.float32)[:, :2], shape_names=("wide", "tall"),
+        shape_dirs=body.template[..., None] * np.eye(3, dtype=np.float32)[:, :2],
+        shape_names=("wide", "tall"),
     )  # fmt: skip
     poses = dataclasses.replace(poses, shape=np.zeros(2, np.float32))
     assert isinstance(poses, Poses)

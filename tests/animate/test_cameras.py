@@ -1,4 +1,5 @@
-"""Cameras of an animation: the orbit keeps the performer in view, files of cameras are interpolated, and mistakes are named."""
+"""Cameras of an animation: the orbit keeps the performer in view, files of cameras are interpolated, and
+mistakes are named."""
 
 from __future__ import annotations
 
@@ -78,23 +79,30 @@ def write(folder: Path, document: Any) -> str:
 
 
 def test_keyframes_like_transforms(tmp_path: Path) -> None:
-    frames = [{"time": 1, "transform_matrix": rigid(0, [0, 1, 2])}, {"time": 3, "fl_x": 60, "transform_matrix": rigid(90, [2, 1, 0])}]
-    cameras = read_cameras(write(tmp_path, {"w": 40, "h": 30, "fl_x": 50, "cx": 19, "frames": frames}), 9, 2.0)
+    frames = [{"time": 1, "transform_matrix": rigid(0, [0, 1, 2])},
+              {"time": 3, "fl_x": 60, "transform_matrix": rigid(90, [2, 1, 0])}]
+    cameras = read_cameras(write(tmp_path, {"w": 40, "h": 30, "fl_x": 50, "cx": 19, "frames": frames}), 9,
+                           2.0)
     turns = [Rotation.from_matrix(c.transform[:3, :3]).as_euler("yxz", degrees=True)[0] for c in cameras]
     np.testing.assert_allclose(turns, [0, 0, 0, 22.5, 45, 67.5, 90, 90, 90], atol=1e-9)
-    np.testing.assert_allclose([c.position for c in cameras[2:7]], np.linspace([0, 1, 2], [2, 1, 0], 5), atol=1e-12)
+    np.testing.assert_allclose([c.position for c in cameras[2:7]], np.linspace([0, 1, 2], [2, 1, 0], 5),
+                               atol=1e-12)
     np.testing.assert_allclose([c.fl_x for c in cameras[2:7]], [50, 52.5, 55, 57.5, 60])
     assert {(c.w, c.h, c.cx, c.cy) for c in cameras} == {(40, 30, 19, 15)}
 
 
 def test_a_camera_path_is_spread_over_the_animation(tmp_path: Path) -> None:
-    path = [{"camera_to_world": np.array(rigid(a, [a, 0, 0])).ravel().tolist(), "fov": 90} for a in (0, 30, 60)]
-    cameras = read_cameras(write(tmp_path, {"render_width": 64, "render_height": 32, "camera_path": path}), 5, 30.0)
+    path = [{"camera_to_world": np.array(rigid(a, [a, 0, 0])).ravel().tolist(), "fov": 90}
+            for a in (0, 30, 60)]
+    cameras = read_cameras(write(tmp_path, {"render_width": 64, "render_height": 32, "camera_path": path}), 5,
+                           30.0)
     np.testing.assert_allclose([c.position[0] for c in cameras], [0, 15, 30, 45, 60])
     assert cameras[0].fl_x == pytest.approx(16) and (cameras[0].cx, cameras[0].cy) == (32, 16)
-    one = read_cameras(write(tmp_path, {"render_width": 64, "render_height": 32, "camera_path": path[:1]}), 3, 30.0)
+    one = read_cameras(write(tmp_path, {"render_width": 64, "render_height": 32, "camera_path": path[:1]}), 3,
+                       30.0)
     assert len(one) == 3
-    assert len(read_cameras(write(tmp_path, {"render_width": 64, "render_height": 32, "camera_path": path}), 1, 30.0)) == 1
+    assert len(read_cameras(write(tmp_path, {"render_width": 64, "render_height": 32, "camera_path": path}),
+                            1, 30.0)) == 1
 
 
 GOOD = {"w": 40, "h": 30, "fl_x": 50, "transform_matrix": rigid(0, [0, 0, 0])}
@@ -117,7 +125,8 @@ GOOD = {"w": 40, "h": 30, "fl_x": 50, "transform_matrix": rigid(0, [0, 0, 0])}
         ({"frames": [GOOD, GOOD | {"time": 1}]}, r"frames\[1\].time: .* a time in every keyframe or in none"),
         ({"frames": [GOOD | {"time": 1}, GOOD | {"time": 1}]}, r"frames\[1\].time: found 1"),
         ({"frames": [GOOD, GOOD | {"w": 42}]}, "42 x 30 pixels; expected 40 x 30"),
-        ({"render_width": 4, "render_height": 4, "camera_path": [{"camera_to_world": np.eye(4).tolist(), "fov": 180}]}, "below 180"),
+        ({"render_width": 4, "render_height": 4,
+          "camera_path": [{"camera_to_world": np.eye(4).tolist(), "fov": 180}]}, "below 180"),
     ],
 )
 def test_refuses(tmp_path: Path, document: Any, message: str) -> None:
