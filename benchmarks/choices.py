@@ -1,11 +1,12 @@
-"""What a choice of the preset's or of the training's options is worth on held-out images, and where the error is.
+"""What changes to the preset or the training options are worth on held-out images, and where the error is.
 
-    python benchmarks/choices.py captures/studio --steps 1500 --choice samples=128 --choice "decay=0.02 learning_rate=0.008"
+    python benchmarks/choices.py captures/studio --steps 1500 --choice samples=128 --choice "decay=0.02 clip=8"
 
-Trains a field for each `--choice`, NAME=VALUE as of `ndf-mi optimise --option`, one or more, after one with none of them; all with
-one seed. Each is rendered in the same held-out images. Box PSNR and SSIM are means over the images; the mean squared error, in 1e-4, is
-told apart into that of the silhouette's edge (pixels whose 3 × 3 neighbours hold both performer and background), within it, and outside
-it: the three add up. Seconds a step are the median of the last 300 and depend on the machine; the rest does not.
+Trains a field without changes and one for each `--choice`, all with one seed. A choice is one or more NAME=VALUE,
+as for `ndf-mi optimise --option`. Renders each field in the same held-out images. Box PSNR and SSIM are means over
+the images. The mean squared error, in 1e-4, is the sum of its parts at the silhouette's edge (pixels whose 3 × 3
+neighbours hold both performer and background), within it, and outside it. Seconds a step are the median of the
+last 300 and depend on the machine; the other figures do not.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Options:
     """The capture's folder."""
 
     choice: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """Options of a training, NAME=VALUE with spaces between; may be given several times."""
+    """Options of one training: NAME=VALUE, separated by spaces. Can be given several times."""
 
     preset: str = "fast"
     """Architecture."""
@@ -52,7 +53,7 @@ class Options:
     """Steps of each training."""
 
     seed: int = 0
-    """Of the trainings, and of the choice of images."""
+    """Seed of the trainings, and for choosing the images."""
 
     images: int = 12
     """Images of each held-out split."""
@@ -66,8 +67,10 @@ def main(options: Options) -> None:
     capture = Capture.read(options.capture)
     views = choose_views(capture, options.images, options.seed)
     splits = list(dict.fromkeys(view.split for view in views))
-    heads = [f"{LABELS[split]}: {name}" for split in splits for name in ("PSNR", "SSIM", "edge", "within", "outside")]
-    print("| | s a step | samples | " + " | ".join(heads) + " |\n| --- |" + " --- |" * (len(heads) + 2), flush=True)
+    heads = [f"{LABELS[split]}: {name}" for split in splits
+             for name in ("PSNR", "SSIM", "edge", "within", "outside")]
+    print("| | s a step | samples | " + " | ".join(heads) + " |\n| --- |" + " --- |" * (len(heads) + 2),
+          flush=True)
     for choice in ("", *options.choice):
         entries = tuple(choice.split())
         seconds, evaluated, method = trained(capture, options, entries)
@@ -76,11 +79,12 @@ def main(options: Options) -> None:
         for split in splits:
             psnr, ssim, *errors = rows[[view.split == split for view in views]].mean(0)
             cells += [f"{psnr:.2f}", f"{ssim:.3f}", *(f"{1e4 * error:.2f}" for error in errors)]
-        print(f"| {choice or 'as it is'} | {seconds:.3f} | {evaluated:,} | " + " | ".join(cells) + " |", flush=True)
+        print(f"| {choice or 'unchanged'} | {seconds:.3f} | {evaluated:,} | " + " | ".join(cells) + " |",
+              flush=True)
 
 
 def trained(capture: Capture, options: Options, entries: tuple[str, ...]) -> tuple[float, int, NeuralField]:
-    """Trains; the median seconds of the last steps, how many samples the last one evaluated, and the field."""
+    """Trains; returns median seconds of the last steps, samples evaluated by the last one, and the field."""
     preset, training = configured(options.preset, entries, steps=options.steps, seed=options.seed)
     with tempfile.TemporaryDirectory() as folder:
         trainer = start(Path(folder) / "run", capture, preset, training)
@@ -91,11 +95,12 @@ def trained(capture: Capture, options: Options, entries: tuple[str, ...]) -> tup
             dr.sync_thread()
             seconds.append(time.perf_counter() - begun)
         trainer.publish()
-    return float(np.median(seconds[-300:])), trainer.progress.evaluated, NeuralField.of(trainer.run, options.samples)
+    field = NeuralField.of(trainer.run, options.samples)
+    return float(np.median(seconds[-300:])), trainer.progress.evaluated, field
 
 
 def measure(capture: Capture, view: View, method: NeuralField) -> tuple[float, ...]:
-    """Box PSNR and SSIM of an image, and the shares of edge, inside and outside in its mean squared error."""
+    """Box PSNR and SSIM of an image, and the parts of its mean squared error: edge, within and outside."""
     camera, truth = capture.cameras[view.camera], capture.image(view.camera, view.frame)
     image, mask = method.render(camera, view.frame), capture.mask(view.camera, view.frame)
     box = metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)])

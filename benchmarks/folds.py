@@ -1,12 +1,13 @@
-"""How much of a synthetic capture's images the folds' answer to the pose makes up: what a field that knows no pose must lose.
+"""How much of a synthetic capture's images depends on folds that follow the pose, which a field without pose must
+lose.
 
     python benchmarks/folds.py captures/studio --images 12
 
-The performer is rendered anew in held-out images: as it was, but for the renderer's seed, and with each fold at its mean over the training
-frames, which is what a field without pose features can know of it; all else, sagging and shadows too, follows the pose as it
-did. Box PSNR against the capture's images, means over each split. The first is the images' own noise. The second bounds what
-leaving the pose out can cost a field: with a mean squared error e of its own it falls to e + 10^(−PSNR/10) at most, if it had
-the folds right before.
+Renders the performer again in held-out images: unchanged with another seed, and with each fold at its mean over
+the training frames, which is all that a field without pose features can know. Sagging and shadows still follow
+the pose. Prints box PSNR against the capture's images, means over each split. The first is the images' noise.
+The second bounds the cost of leaving the pose out: the mean squared error e of a field that had the folds right
+grows to at most e + 10^(−PSNR/10).
 """
 
 from __future__ import annotations
@@ -46,14 +47,14 @@ class Options:
     """Images of each held-out split."""
 
     seed: int = 0
-    """Of the choice of images."""
+    """Seed for choosing the images."""
 
     spp: int = 132
     """Samples a pixel."""
 
 
 class HeldFolds(Folds):
-    """Folds that stay as they are, whatever the pose: `coefficients` (K,) of `folds`."""
+    """Folds with fixed coefficients (K,), whatever the pose."""
 
     def __init__(self, folds: Folds, coefficients: np.ndarray) -> None:
         self.fields = folds.fields
@@ -70,14 +71,18 @@ def main(options: Options) -> None:
     moving, held = (Performer(body, plan.shape_of(body)) for _ in range(2))
     for i, layer in enumerate(held.layers):
         if layer.folds is not None:
-            all_poses = np.array([layer.folds.coefficients(named_pose(capture, frame)) for frame in capture.splits["train"].frames])
+            all_poses = np.array([layer.folds.coefficients(named_pose(capture, frame))
+                                  for frame in capture.splits["train"].frames])
             change = layer.folds.fields @ (all_poses - all_poses.mean(0)).T
-            print(f"{layer.name}: folds of {1e3 * np.sqrt(np.square(layer.folds.fields @ all_poses.T).mean()):.1f} mm, of which "
-                  f"{1e3 * np.sqrt(np.square(change).mean()):.1f} mm change with the pose (root mean squares)")
+            print(f"{layer.name}: folds of "
+                  f"{1e3 * np.sqrt(np.square(layer.folds.fields @ all_poses.T).mean()):.1f} mm, of which "
+                  f"{1e3 * np.sqrt(np.square(change).mean()):.1f} mm change with the pose (root mean "
+                  "squares)")
             held.layers[i] = dataclasses.replace(layer, folds=HeldFolds(layer.folds, all_poses.mean(0)))
     studio = Studio(moving.layers, options.spp)
     views = choose_views(capture, options.images, options.seed)
-    rows = np.array([[box_psnr(capture, studio, performer, view) for performer in (moving, held)] for view in views])
+    rows = np.array([[box_psnr(capture, studio, performer, view) for performer in (moving, held)]
+                     for view in views])
     print("| | rendered again | with mean folds |\n| --- | --- | --- |")
     for split in dict.fromkeys(view.split for view in views):
         again, mean = rows[[view.split == split for view in views]].mean(0)
@@ -92,11 +97,12 @@ def named_pose(capture: Capture, frame: int) -> dict[str, np.ndarray]:
 
 
 def box_psnr(capture: Capture, studio: Studio, performer: Performer, view: View) -> float:
-    """In dB, of the performer as `view` shows it, against the capture's image."""
+    """Box PSNR in dB of the rendered performer against the capture's image."""
     poses, camera = capture.poses, capture.cameras[view.camera]
     row = poses.index(view.frame)
-    studio.pose(performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row], poses.vertices[row]))
-    # No image of the capture was made with a seed that is not below 2**31 - 1.
+    studio.pose(performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row],
+                               poses.vertices[row]))
+    # The capture's images have seeds below 2**31 - 1.
     image = composite(*studio.render(camera, 2**31 - 1)).astype(np.float32)
     box = metrics.box_mask(camera, poses.vertices[row])
     psnr = metrics.measure(capture.image(view.camera, view.frame), image, box)["box_psnr"]

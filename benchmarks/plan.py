@@ -1,23 +1,27 @@
-"""What a planned model costs and gives beside the full one, on captures that need a part and on captures that do not.
+"""What a planned model costs and gains compared with the full one, on captures that need a part and captures
+that do not.
 
     python benchmarks/plan.py captures/plan --steps 3000 --seeds 3
     python benchmarks/plan.py captures/plan --only poses --put-back colour band detail
 
-Makes the captures below in the folder where they are not there yet (about a minute each), plans each, and trains side by side, a step of
-one after a step of the other, so that what else the machine does hits all alike: the full model, the planned one, for each part that
-the capture is made to need the planned one without it, and for each finding named by `--put-back` the planned one with all that this
-finding took away. With `--seeds` all of it is trained so many times, from other weights and along other rays. Prints for each capture
-what the plan left out, the held-out box PSNR of each model and its difference to the full one's, medians of seconds a training step and
-an image, and their ratios to the full model's; and at the end which of the promises are kept: a planned model is at most 0.1 dB worse
-than the full one, and on captures that need no part takes at most 60 % of its time; what is needed is kept, and costs more than 0.1 dB
-where it is left out.
+Makes the captures below if they are missing (about a minute each), plans each, and trains several models in
+turns, one step each, so that other work on the machine affects all alike: the full model, the planned one,
+the planned one without each part that the capture was made to need, and, for each finding named by
+`--put-back`, the planned one with everything that this finding removed. `--seeds` repeats all of it with
+other initial weights and rays.
 
-A difference has two standard errors: over the held-out images, of its mean over the trainings, which says how far it holds for other
-images of the same capture; and over the trainings, of its mean over the images, which says how far it holds for other seeds, and takes
-two seeds to tell.
+For each capture it prints what the plan left out, the held-out box PSNR of each model and its difference to
+the full one's, the median seconds of a training step and of an image, and their ratios to the full model's.
+At the end it prints which claims hold: a planned model is at most 0.1 dB worse than the full one; on captures
+that need no part it takes at most 60 % of the time; needed parts are kept, and leaving one out costs more
+than 0.1 dB.
 
-Rows of a capture and a seed are written to FOLDER/results.json when they are done, and not measured again by a command that compares the
-same models, trained and drawn alike, on the same capture, machine and sources.
+A difference has two standard errors: over the held-out images, of its mean over the trainings, which says how
+well it generalises to other images; and over the trainings, of its mean over the images, which says how well
+it generalises to other seeds and needs at least two.
+
+Finished rows are written to FOLDER/results.json and reused by a command that compares the same models,
+trained and rendered alike, on the same capture, machine and sources.
 """
 
 from __future__ import annotations
@@ -61,10 +65,11 @@ from ndf_mi.planning.planner import full_model, plan, put_back  # noqa: E402
 from ndf_mi.render.profile import code_digest, sources_digest  # noqa: E402
 
 WORTH, SHARE = 0.1, 0.6
-"""dB that a planned model may be worse by and a part has to be worth, and the share of the full model's time that it may take."""
+"""dB that a planned model may be worse by and a part has to be worth, and the share of the full model's time
+that it may take."""
 
 BAND = {"band": 0.037, "band_inside": 0.028}
-"""What is planned around tight clothes: what leaving the wider band out means."""
+"""The band planned for tight clothes, which replaces a wider one where that is left out."""
 
 PARTS: dict[str, dict[str, Any]] = {
     "pose": {"pose_layers": (), "pose_products": False, "grid_features": 2, "deformation_layers": ()},
@@ -72,15 +77,16 @@ PARTS: dict[str, dict[str, Any]] = {
     "view": {"direction_octaves": -1, "direction": "view"},
     "band": BAND,
 }
-"""What leaving a part out changes in a preset."""
+"""Changes to a preset that leave a part out."""
 
 FINDINGS = ("pose", "light", "view", "band", "detail", "colour")
-"""Whose changes may be put back."""
+"""Findings that --put-back accepts."""
 
 
 @dataclass(frozen=True)
 class Made:
-    """A capture made for the study: what the performer wears and does, the light, and the parts that it needs."""
+    """A capture made for this study: clothes and motion, the light, and the parts of the model that it
+    needs."""
 
     look: Look
     needs: tuple[str, ...] = ()
@@ -98,7 +104,8 @@ CAPTURES = {
     "loose": Made(dataclasses.replace(TIGHT, clothes="loose"), ("band",)),
     "folds": Made(Look(surface="matte"), ("pose", "light", "band")),
 }
-"""By name. `plain` needs nothing; `carried` turns with its light; `poses` moves, but nothing changes; the others each need something."""
+"""By name. `plain`, `carried`, whose light turns with the performer, and `poses`, which moves without
+changing, need nothing; `sheen` needs nothing that can be measured; the others need something."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +113,7 @@ class Options:
     """What is trained and measured."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Where the captures are, or are made."""
+    """Folder of the captures; missing ones are made."""
 
     steps: int = 3000
     """Steps of each training."""
@@ -118,21 +125,22 @@ class Options:
     """Candidate samples a ray when rendered."""
 
     repeats: int = 3
-    """Times that every image is rendered for its time, after once."""
+    """Timed renderings of each image, after one that is not timed."""
 
     seed: int = 0
-    """Of the first training of each model."""
+    """Seed of the first training of each model."""
 
     seeds: int = 1
-    """Trainings of each model, with this seed and those that follow."""
+    """Trainings of each model, with this seed and the following ones."""
 
     put_back: tuple[str, ...] = ()
-    """Findings: the planned model is trained with all that each took away, too. One that took nothing away is passed over."""
+    """Findings whose removed parts are restored in another training of the planned model. Findings that
+    removed nothing are skipped."""
 
     def __post_init__(self) -> None:
         for name, low in (("steps", 1), ("samples", 1), ("repeats", 1), ("seed", 0), ("seeds", 1)):
             if getattr(self, name) < low:
-                raise InputError(f"--{name}", str(getattr(self, name)), f"a whole number from {low} on")
+                raise InputError(f"--{name}", str(getattr(self, name)), f"a whole number of at least {low}")
         for name, given, known in (("only", self.only, CAPTURES), ("put-back", self.put_back, FINDINGS)):
             for value in given:
                 if value not in known:
@@ -141,7 +149,8 @@ class Options:
 
 @dataclass
 class Row:
-    """One model on one capture, trained once: dB of each held-out image, and median seconds a step and an image."""
+    """One model on one capture, trained once: PSNR of each held-out image, and median seconds a step and an
+    image."""
 
     model: str
     step: float = 0.0
@@ -165,13 +174,15 @@ class Summary:
     image: float
 
     def to(self, other: Summary) -> tuple[float, float, float]:
-        """The mean difference to another in dB, and its standard errors over the images and over the seeds; NaN where one is all."""
+        """The mean difference to another in dB, and its standard errors over images and seeds; NaN for only
+        one."""
         difference = self.psnr - other.psnr
-        return float(difference.mean()), standard_error(difference.mean(axis=0)), standard_error(difference.mean(axis=1))
+        over_images, over_seeds = (standard_error(difference.mean(axis=axis)) for axis in (0, 1))
+        return float(difference.mean()), over_images, over_seeds
 
 
 def standard_error(values: np.ndarray) -> float:
-    """Of the mean of values; NaN of a single one."""
+    """Standard error of the mean; NaN for a single value."""
     return float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("nan")
 
 
@@ -183,18 +194,23 @@ def main(options: Options) -> None:
     verdicts: list[str] = []
     for name in options.only:
         made = CAPTURES[name]
-        capture = Capture.read(synthesise(options.folder / name, SIZES["plan"], light=made.light, look=made.look))
+        capture = Capture.read(synthesise(options.folder / name, SIZES["plan"], light=made.light,
+                                          look=made.look))
         found = plan(capture)
         compared = models(made, found, options.put_back)
         trained = []
         for seed in range(options.seed, options.seed + options.seeds):
-            # All that the rows depend on.
-            of = {"capture": name, "digest": capture.digest, "steps": options.steps, "samples": options.samples, "repeats": options.repeats,
-                  "seed": seed, "models": {model: preset.to_dict() for model, preset in compared.items()}, "machine": machine.describe(),
+            # Everything that the rows depend on.
+            of = {"capture": name, "digest": capture.digest, "steps": options.steps,
+                  "samples": options.samples, "repeats": options.repeats,
+                  "seed": seed, "models": {model: preset.to_dict() for model, preset in compared.items()},
+                  "machine": machine.describe(),
                   "sources": sources()}
             key = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:20]
             if key not in known:
-                known[key] = {"of": of, "rows": [dataclasses.asdict(row) for row in study(name, capture, compared, options, seed)]}
+                known[key] = {"of": of,
+                              "rows": [dataclasses.asdict(row)
+                                       for row in study(name, capture, compared, options, seed)]}
                 files.write_json(kept, known)
             trained.append([Row(**row) for row in known[key]["rows"]])
         verdicts += shown(name, made, found, [summary(rows) for rows in zip(*trained, strict=True)], options)
@@ -202,31 +218,35 @@ def main(options: Options) -> None:
 
 
 def sources() -> str:
-    """SHA-256 (hex) of the sources that train and draw."""
+    """SHA-256 (hex) of the sources that train and render."""
     return hashlib.sha256((code_digest() + sources_digest("learn")).encode()).hexdigest()
 
 
 def models(made: Made, found: Plan, back: tuple[str, ...]) -> dict[str, Preset]:
     """The models compared on a capture."""
-    without = {f"planned, without {part}": dataclasses.replace(found.preset, **PARTS[part]) for part in made.needs}
+    without = {f"planned, without {part}": dataclasses.replace(found.preset, **PARTS[part])
+               for part in made.needs}
     took = {finding.key for finding in found.findings if finding.left_out and finding.changes}
     return {"full": full_model(), "planned": found.preset, **without,
             **{f"planned, with {key}": put_back(found, key) for key in back if key in took}}
 
 
 def summary(rows: tuple[Row, ...]) -> Summary:
-    """One model's rows, a training each."""
-    return Summary(rows[0].model, np.array([row.images for row in rows]), float(np.mean([row.step for row in rows])),
+    """One model's rows of all trainings."""
+    return Summary(rows[0].model, np.array([row.images for row in rows]),
+                   float(np.mean([row.step for row in rows])),
                    float(np.mean([row.image for row in rows])))
 
 
 def study(name: str, capture: Capture, presets: dict[str, Preset], options: Options, seed: int) -> list[Row]:
-    """Trains models side by side, then renders them side by side."""
+    """Trains models in turns, then renders them in turns."""
     rows = [Row(name) for name in presets]
     training = TrainingOptions(steps=options.steps, seed=seed)
     with tempfile.TemporaryDirectory() as folder:
-        trainers = [start(Path(folder) / str(i), capture, preset, training) for i, preset in enumerate(presets.values())]
-        steps = track(range(options.steps), f"{name}, seed {seed}: training {len(rows)} models", console=Console(file=sys.stderr))
+        trainers = [start(Path(folder) / str(i), capture, preset, training) for i,
+                    preset in enumerate(presets.values())]
+        steps = track(range(options.steps), f"{name}, seed {seed}: training {len(rows)} models",
+                      console=Console(file=sys.stderr))
         seconds = np.array([[_timed(trainer) for trainer in trainers] for _ in steps])
         for trainer in trainers:
             trainer.publish()
@@ -234,7 +254,8 @@ def study(name: str, capture: Capture, presets: dict[str, Preset], options: Opti
         taken: list[list[list[float]]] = [[] for _ in rows]
         for camera, frame in capture.splits["novel_view"]:
             truth = capture.image(camera, frame)
-            box = metrics.box_mask(capture.cameras[camera], capture.poses.vertices[capture.poses.index(frame)])
+            box = metrics.box_mask(capture.cameras[camera],
+                                   capture.poses.vertices[capture.poses.index(frame)])
             times = np.zeros((options.repeats + 1, len(rows)))
             for repeat in range(options.repeats + 1):
                 for i, (row, method) in enumerate(zip(rows, methods, strict=True)):
@@ -260,35 +281,43 @@ def _timed(trainer: Trainer) -> float:
 
 
 def shown(name: str, made: Made, found: Plan, rows: list[Summary], options: Options) -> list[str]:
-    """Prints a capture's table; returns what of the promises is kept on it."""
+    """Prints a capture's table; returns which claims hold on it."""
     full, planned = rows[0], rows[1]
     print(f"{name}: needs {', '.join(made.needs) or 'nothing'}; the plan leaves out "
-          + ", ".join(f"{finding.key} ({finding.left_out})" for finding in found.findings if finding.left_out))
+          + ", ".join(f"{finding.key} ({finding.left_out})"
+                      for finding in found.findings if finding.left_out))
     passed = [key for key in options.put_back if f"planned, with {key}" not in {row.model for row in rows}]
     if passed:
-        print(f"nothing to put back of {', '.join(passed)}")
+        print(f"nothing to restore of {', '.join(passed)}")
     seeds, images = full.psnr.shape
-    print(f"\n± images: the standard error over {images} images; ± seeds: that over {seeds} {'trainings' if seeds > 1 else 'training'}"
+    print(f"\n± images: the standard error over {images} images; ± seeds: that over {seeds} "
+          f"{'trainings' if seeds > 1 else 'training'}"
           "\n\n| | PSNR | to full | ± images | ± seeds | s a step | ratio | s an image | ratio |\n"
           "| --- | --- | --- | --- | --- | --- | --- | --- | --- |")
     for row in rows:
         mean, over_images, over_seeds = row.to(full)
-        print(f"| {row.model} | {row.psnr.mean():.2f} | {mean:+.2f} | {_error(over_images)} | {_error(over_seeds)} | {row.step:.4f} "
+        print(f"| {row.model} | {row.psnr.mean():.2f} | {mean:+.2f} | {_error(over_images)} | "
+              f"{_error(over_seeds)} | {row.step:.4f} "
               f"| {row.step / full.step:.2f} | {row.image:.4f} | {row.image / full.image:.2f} |")
     print(flush=True)
     p = found.preset
     has = {"pose": bool(p.pose_layers), "light": p.normal_octaves >= 0, "view": p.direction_octaves >= 0,
            "band": p.band > 1.5 * BAND["band"]}
-    verdicts = [_verdict(name, f"{part} is {'kept' if has[part] else 'left out'}", has[part] == (part in made.needs)) for part in PARTS]
-    verdicts.append(_verdict(name, f"planned {_told(planned, full)} to the full model", planned.to(full)[0] >= -WORTH))
-    for what, ratio in (("training", planned.step / full.step), ("rendering", planned.image / full.image)) if not made.needs else ():
-        verdicts.append(_verdict(name, f"{what} in {100 * ratio:.0f} % of the full model's time", ratio <= SHARE))
+    verdicts = [_verdict(name, f"{part} is {'kept' if has[part] else 'left out'}",
+                         has[part] == (part in made.needs)) for part in PARTS]
+    verdicts.append(_verdict(name, f"planned {_difference(planned, full)} to the full model",
+                             planned.to(full)[0] >= -WORTH))
+    for what, ratio in (("training", planned.step / full.step),
+                        ("rendering", planned.image / full.image)) if not made.needs else ():
+        verdicts.append(_verdict(name, f"{what} in {100 * ratio:.0f} % of the full model's time",
+                                 ratio <= SHARE))
     for row in rows[2 : 2 + len(made.needs)]:
-        verdicts.append(_verdict(name, f"{row.model} {_told(row, planned)} to the planned one", row.to(planned)[0] < -WORTH))
+        verdicts.append(_verdict(name, f"{row.model} {_difference(row, planned)} to the planned one",
+                                 row.to(planned)[0] < -WORTH))
     return verdicts
 
 
-def _told(row: Summary, other: Summary) -> str:
+def _difference(row: Summary, other: Summary) -> str:
     mean, over_images, over_seeds = row.to(other)
     return f"{mean:+.2f} dB (± {_error(over_images)} over images, {_error(over_seeds)} over seeds)"
 
@@ -298,7 +327,7 @@ def _error(value: float) -> str:
 
 
 def _verdict(name: str, text: str, good: bool) -> str:
-    return f"{'kept  ' if good else 'MISSED'}  {name}: {text}"
+    return f"{'holds' if good else 'FAILS'}  {name}: {text}"
 
 
 if __name__ == "__main__":
