@@ -29,4 +29,4 @@ bench: setup
 	$(bin)/python benchmarks/image.py $(RUN) --capture $(CAPTURE)
 	$(bin)/python benchmarks/ndf_path.py $(RUN)
 	$(bin)/python benchmarks/volpath_cost.py $(RUN) --size 48 --spp 4 --repeats 5 --reference 0
-	$(bin)/python benchmarks/lattice_error.py $(RUN)
+	$(bin)/python benchmarks/grid_error.py $(RUN)

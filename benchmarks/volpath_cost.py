@@ -7,7 +7,7 @@ One process, repeats interleaved: every way renders once, then every way again w
     box       the `ndf` medium in its bounding box
     shell     the same in an `ndf_shell`
     nested    the same in nested shells with local majorants
-    L mm      the same in nested shells, the field put onto a lattice with that spacing (the medium's `lattice`)
+    L mm      the same in nested shells, the field sampled on a grid of that spacing (the medium's `grid_spacing`)
     grid N    Mitsuba's `heterogeneous` medium in the bounding box, baked from the field into N³ cells
 
 Seconds are the median over the repeats, for a picture at `--spp`. Noise is the standard deviation that one sample a pixel has, from the
@@ -80,8 +80,8 @@ class Options:
     cell: float = 0.0125
     """Spacing in metres of the grid that shells are cut from."""
 
-    lattices: tuple[float, ...] = (0.006, 0.003)
-    """Spacings in metres of the lattices that the medium is put onto."""
+    spacings: tuple[float, ...] = (0.006, 0.003)
+    """Spacings in metres of the grids that the field is sampled on."""
 
     grids: tuple[int, ...] = (128, 256)
     """Cells of the baked grids along each side."""
@@ -115,8 +115,8 @@ def main(options: Options) -> None:
         "box": lambda: box(run, {"type": "ndf", "run": str(run.path), "frame": frame}, frame),
         "shell": lambda: shell(run, frame, {"cell": options.cell}),
         "nested": lambda: shell(run, frame, {"cell": options.cell, "layers": options.layers}),
-        **{f"{1e3 * size:g} mm": lambda size=size: shell(run, frame, {"cell": options.cell, "layers": options.layers}, lattice=size)
-           for size in options.lattices},
+        **{f"{1e3 * size:g} mm": lambda size=size: shell(run, frame, {"cell": options.cell, "layers": options.layers}, grid_spacing=size)
+           for size in options.spacings},
         **{f"grid {n}": lambda n=n: box(run, baked(run, frame, n), frame) for n in options.grids},
     }
     print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, {run.path.name} frame {frame}, "

@@ -12,6 +12,7 @@ import os
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any, Literal
+from weakref import WeakValueDictionary
 
 import mitsuba as mi
 import numpy as np
@@ -30,7 +31,10 @@ FORMAT = "ndf-run"
 VERSION = 1
 QUADRATURE = "ndf_quadrature"
 """The integrator that fields are trained by where nothing else is said."""
+_FILES = ("config.json", "body.npz", "poses.npz", "field.safetensors")
 _CACHED_POSES = 128
+_SHARED: WeakValueDictionary[tuple[object, ...], Run] = WeakValueDictionary()
+"""Runs in use, by folder, variant and the files' signatures."""
 
 
 class Run:
@@ -99,6 +103,23 @@ class Run:
         poses = Poses.read(path / "poses.npz", body)
         model = Model(body, poses, preset)
         return cls(path, config, body, poses, model, _read_parameters(path / "field.safetensors", model.field))
+
+    @classmethod
+    def shared(cls, path: str | os.PathLike[str]) -> Run:
+        """As :meth:`load`, but one run for all who ask for the same folder while one of them holds it and its files stay the same.
+
+        It must not be changed.
+        """
+        folder = os.path.realpath(path)
+        try:
+            states = [os.stat(os.path.join(folder, name)) for name in _FILES]
+        except OSError:
+            return cls.load(path)
+        key = (folder, mi.variant(), *((state.st_ino, state.st_mtime_ns, state.st_size) for state in states))
+        run = _SHARED.get(key)
+        if run is None:
+            run = _SHARED[key] = cls.load(path)
+        return run
 
     def field_tensors(self) -> dict[str, np.ndarray]:
         """The field's parameters as numpy arrays, by name."""

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import importlib
 
-MODULES: tuple[str, ...] = ("ndf", "ndf_lattice", "ndf_path", "ndf_quadrature", "ndf_shell")
-"""The modules here that hold a plugin; each module's ``register()`` registers it with the active variant."""
+MODULES: tuple[str, ...] = ("ndf", "ndf_grid", "ndf_path", "ndf_quadrature", "ndf_shell")
+"""The modules with a plugin; each module's ``register()`` registers it with the active variant."""
 
 
 def register() -> None:
     """Registers every plugin for the active variant.
 
     A class that derives from one of Mitsuba's belongs to the variant that was active when it was defined, so each
-    module's ``register()`` defines its class anew; the modules themselves are imported once.
+    module's ``register()`` defines its class again; the modules themselves are imported once.
     """
     for name in MODULES:
         importlib.import_module(f"{__name__}.{name}").register()

@@ -10,29 +10,30 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.deprecated import rename_parameter
 from ndf_mi.errors import InputError
 from ndf_mi.field import FieldParameters
 from ndf_mi.model import PosedModel
 from ndf_mi.projection import PosedSurface
-from ndf_mi.render import colours
-from ndf_mi.render.blocks import Blocks
 from ndf_mi.render.nested import Majorants
+from ndf_mi.render.performers import NeuralField
+from ndf_mi.render.sparse_grid import SparseGrid
 from ndf_mi.run import Run
 
-_PARAMETERS = {"weights": None, "grid": None, "vertices": None, "pose": None}.keys()
-"""What the medium exposes, in this order."""
+_PARAMETERS = ("weights", "grid", "vertices", "pose")
+"""The parameters that the medium exposes, in this order."""
 
 _MOVED = (
-    "the body has moved, and {share:.2g} % of its band lie outside the shells and are not seen. Shells stay where they were made: "
-    "load the scene anew at this pose."
+    "the body has moved, and {share:.2g} % of its band lie outside the shells and are not seen. Shells do not move: "
+    "load the scene again at this pose."
 )
 _STALLING = (
-    "gradients of the networks are summed in half precision here, where sums stall after some thousand terms. Take few paths at a time, "
-    "train by `ndf-mi optimise --integrator prbvolpath`, which sums in single precision, or use a CPU"
+    "gradients of the networks are summed in half precision here, where sums stall after some thousand terms. Use few paths at a "
+    "time, train with `ndf-mi optimise --integrator prbvolpath`, which sums in single precision, or use a CPU."
 )
 _EXCEEDED = (
     "{excess}. Majorants were raised to hold there, but the estimate has missed fine structure: give the `ndf_shell` a smaller "
-    "`cell`, or leave `layers` out for the majorant that holds by construction."
+    "`cell`, or leave out `layers` for the majorant that holds by construction."
 )
 
 
@@ -49,10 +50,10 @@ def frame_of(run: Run, props: mi.Properties) -> int:
 
 
 def offset_of(run: Run, props: mi.Properties) -> np.ndarray:
-    """(3,) float32: how far a plugin's properties have the performer moved, in metres.
+    """(3,) float32: how far a plugin's properties have moved the performer, in metres.
 
     Raises:
-        InputError: it is not finite, or the run's networks take world coordinates, in which a moved performer would be another one.
+        InputError: it is not finite, or the run's networks take world coordinates, in which a moved performer would be another.
     """
     offset = np.array(props.get("offset", mi.ScalarVector3f(0.0)), dtype=np.float32).reshape(-1)
     if offset.size != 3 or not np.isfinite(offset).all():
@@ -73,7 +74,7 @@ def register() -> None:
         ---------------------------------------
 
         A trained field around a posed body as a participating medium. The field's density is the extinction σ_t (1/m), its
-        colour the single-scattering albedo. Under ``ndf_quadrature`` the colour is emitted instead.
+        colour the single-scattering albedo. Under ``ndf_quadrature`` and ``ndf_path`` the colour is emitted instead.
 
         .. pluginparameters::
 
@@ -85,15 +86,15 @@ def register() -> None:
            - Frame whose pose the field takes. (Default: the run's first)
          * - offset
            - |vector|
-           - Where the performer stands, from where the run has them, in metres. (Default: 0, 0, 0)
+           - Where the performer stands relative to the run, in metres. (Default: 0, 0, 0)
          * - scale
            - |float|
            - Factor on the density. (Default: 1)
-         * - lattice
+         * - grid_spacing
            - |float|
-           - Spacing in metres of a lattice that the field is put onto when the scene is loaded, and whenever its parameters change. Paths
-             look that up in place of the networks: several times as quick, detached, and linear in between its nodes. 0.003 is a fine
-             one for an adult. (Default: 0, none)
+           - Spacing in metres of a grid that the field is sampled on when the scene is loaded and whenever its parameters
+             change. Paths look it up instead of running the networks, which is several times as fast. 0.003 is fine enough
+             for an adult. (Default: 0, no grid)
          * - (Nested plugin)
            - |phase|
            - Phase function. (Default: isotropic)
@@ -107,62 +108,72 @@ def register() -> None:
            - The posed body's vertices (flat, metres) and the pose vector (flat axis-angles, radians).
            - |exposed|, |differentiable|
 
-        - Works under ``volpath``, ``volpathmis``, ``prbvolpath`` and ``ndf_quadrature``. Integrators that know no media (``path``,
-          ``direct``) see nothing of it: :func:`ndf_mi.render.nested_check.faults` tells.
+        - Works under ``volpath``, ``volpathmis``, ``prbvolpath``, ``ndf_path`` and ``ndf_quadrature``. Integrators that know no
+          media (``path``, ``direct``) show nothing of it; :func:`ndf_mi.render.scene_issues.scene_issues` reports them.
         - The majorant is one number, above every density by construction of the density's activation. An ``ndf_shell`` with
-          ``layers`` gives it local ones, estimated from samples.
-        - The density is zero outside the band; bound the medium by ``ndf_shell``, or by any closed shape around the band.
-        - Does not move a shape around it: after a change of ``vertices``, make a new ``ndf_shell``.
-        - On a ``lattice``, colours must not depend on the view direction, no gradients reach the parameters, and the majorant is that of
-          the densest node. ``ndf_quadrature`` and ``ndf_path`` show the field itself all the same.
-        - A sensor inside the medium names it as its own (``<ref id="…"/>``); ``prbvolpath`` begins outside of media all the same.
+          ``layers`` provides local ones, estimated from samples.
+        - The density is zero outside the band. Enclose the medium in an ``ndf_shell`` or in any closed shape around the band.
+        - A shape around the medium does not move with it: after a change of ``vertices``, make a new ``ndf_shell``.
+        - With ``grid_spacing``, the field is linear between the grid's nodes, colours must not depend on the view direction, no
+          gradients reach the parameters, and the majorant follows from the densest node. ``ndf_quadrature`` and ``ndf_path``
+          show the field itself regardless.
+        - A sensor inside the medium must name it (``<ref id="…"/>``). ``prbvolpath`` begins outside of media even then.
         """
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.m_is_homogeneous = False
             self.m_has_spectral_extinction = False
-            self.run = Run.load(find_run(props["run"]))
+            rename_parameter(props, "ndf", "lattice", "grid_spacing")
+            self.run = Run.shared(find_run(props["run"]))
             self.frame = frame_of(self.run, props)
+            self.offset = offset_of(self.run, props)
             self.scale = float(props.get("scale", 1.0))
             if not 0 < self.scale < float("inf"):
                 raise InputError("ndf: scale", repr(self.scale), "a number above 0")
-            self.lattice = float(props.get("lattice", 0.0))
-            if not 0 <= self.lattice < float("inf"):
-                raise InputError("ndf: lattice", repr(self.lattice), "a spacing above 0 in metres, or 0 for none")
-            if self.lattice > 0 and self.run.model.field.preset.direction_octaves >= 0:
-                raise InputError("ndf: lattice", f"{self.lattice:g}, of a field whose colours depend on the view direction",
-                                 "none, or a field without that", "A lattice holds one colour for all directions.")
-            parameters = self.run.parameters
-            self.weights = mi.Float(parameters.weights)
-            self.grid = mi.Float(parameters.grid) if parameters.grid is not None else None
-            self.offset = offset_of(self.run, props)
+            self.grid_spacing = float(props.get("grid_spacing", 0.0))
+            if not 0 <= self.grid_spacing < float("inf"):
+                raise InputError("ndf: grid_spacing", repr(self.grid_spacing), "a spacing above 0 in metres, or 0 for no grid")
+            if self.grid_spacing > 0 and self.run.model.field.preset.direction_octaves >= 0:
+                raise InputError("ndf: grid_spacing", f"{self.grid_spacing:g}, of a field whose colours depend on the view direction",
+                                 "0, or a field without that", "A grid holds one colour for all directions.")
+            self.weights, self.grid = mi.Float(self.run.parameters.weights), self.run.parameters.grid
+            if self.grid is not None:
+                self.grid = mi.Float(self.grid)
             self.vertices = mi.Float((self.run.poses.vertices[self.run.poses.index(self.frame)] + self.offset).ravel())
             self.pose = self.run.pose_vector(self.frame)
-            # A literal would be compiled into every kernel, and again at each new value.
+            # A literal would be compiled into every kernel, and again for each new value.
             dr.make_opaque(self.weights, self.grid, self.vertices, self.pose)
             self._surface = PosedSurface(self.run.model.surface, self.vertices, self.run.model.band)
             self._nested: Majorants | None = None
-            self._told: set[str] = set()
+            self._warned: set[str] = set()
             self._bind()
 
+        @property
+        def neural_field(self) -> NeuralField:
+            """The medium itself."""
+            return self
+
+        @property
+        def outermost(self) -> bool:
+            """True: the medium is not a layer."""
+            return True
+
         def posed(self) -> PosedModel:
-            """The field with the parameters that the medium has now; gradients flow to them."""
+            """The field with the medium's present parameters; gradients flow to them."""
             return self._model
 
         def _bind(self) -> None:
-            model = self.run.model
-            self._model = PosedModel(model, FieldParameters(self.weights, self.grid), self._surface, self.pose)
+            model, parameters = self.run.model, FieldParameters(self.weights, self.grid)
+            self._model = PosedModel(model, parameters, self._surface, self.pose)
             self._model.bound.pack()
-            self._blocks: Blocks | None = None
-            if self.lattice > 0:
+            # What paths meet: the field, or the grid that it is sampled on.
+            self._seen: PosedModel | SparseGrid = self._model
+            if self.grid_spacing > 0:
                 preset = model.field.preset
-                self._blocks = Blocks(self._model, model.surface, self.vertices, max(preset.band, preset.band_inside), self.lattice)
-            self.majorant = dr.opaque(mi.Float, self._held().majorant * self.scale)
-
-        def _held(self) -> PosedModel | Blocks:
-            """What paths are told of: the field, or the lattice that it was put onto."""
-            return self._model if self._blocks is None else self._blocks
+                reach = max(preset.band, preset.band_inside)
+                self._seen = SparseGrid(self._model, model.surface, self.vertices, reach, self.grid_spacing)
+            self.majorant = dr.opaque(mi.Float, self._seen.majorant * self.scale)
 
         def traverse(self, callback: Any) -> None:
             super().traverse(callback)
@@ -175,68 +186,63 @@ def register() -> None:
             if moved:
                 self._surface = PosedSurface(self.run.model.surface, self.vertices, self.run.model.band)
             self._bind()
-            if self._nested is not None and (not keys or not _PARAMETERS.isdisjoint(keys)):
-                self._follow(moved)
+            if self._nested is not None and (not keys or not set(_PARAMETERS).isdisjoint(keys)):
+                self._follow(self._nested, moved)
 
         def nest(self, layers: int, cell: float) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[mi.Medium]]:
-            """Nested shells around the field as it is now, and the medium between each and the next.
+            """Nested shells around the field with its present parameters, and the medium between each and the next.
 
             Args:
-                layers: number of shells at most.
+                layers: largest number of shells.
                 cell: spacing in metres of the grid that they are cut from.
 
             Returns:
-                the shells from the outermost on, as vertices and faces, and as many media. These share the field's parameters with this
-                one, which the first exposes, and its phase function; their majorants follow changes of the parameters.
+                the shells from the outermost on, as vertices and faces, and as many media. These share the field's parameters,
+                which the first exposes, and its phase function; their majorants follow changes of the parameters.
+
+            Raises:
+                InputError: the medium has shells already.
             """
             if self._nested is not None:
                 raise InputError("ndf_shell", "an `ndf` medium that is inside another `ndf_shell`", "a medium of its own for each")
-            self._nested = Majorants(self.run.model, self._held(), self.vertices, layers, cell)
-            self._adopt()
+            self._nested = Majorants(self.run.model, self._seen, self.vertices, layers, cell)
+            self._adopt(self._nested)
             return self._nested.layers.shells, [NDFLayer(self, index) for index in range(len(self._nested.values))]
 
-        def _follow(self, moved: bool) -> None:
-            """New majorants between the same shells: while gradients are wanted the one by construction, as weights change all the time."""
-            assert self._nested is not None
+        def _follow(self, nested: Majorants, moved: bool) -> None:
+            """New majorants between the same shells. While gradients are tracked, weights change all the time: then the majorant
+            that holds by construction."""
             if moved:
-                left_out = self._nested.left_out(self.vertices)
+                left_out = nested.left_out(self.vertices)
                 if left_out > 0:
                     self._warn("moved", _MOVED.format(share=100 * left_out))
             if self._differentiated():
-                self._set_majorants([self._held().majorant] * len(self._nested.values))
-                return
-            self._nested.update(self._held(), self.vertices if moved else None)
-            self._adopt()
+                self._set_majorants([self._seen.majorant] * len(nested.values))
+            else:
+                nested.update(self._seen, self.vertices if moved else None)
+                self._adopt(nested)
 
-        def _differentiated(self) -> bool:
-            return any(dr.grad_enabled(value) for name in _PARAMETERS if (value := getattr(self, name)) is not None)
-
-        def _expect_no_gradients(self) -> None:
-            if self._blocks is not None and self._differentiated():
-                raise InputError("ndf: lattice", "gradients wanted of parameters", "none: what is put onto a lattice is detached",
-                                 "Leave `lattice` out.")
+        def _adopt(self, nested: Majorants) -> None:
+            self._set_majorants(nested.values)
+            if nested.excess is not None:
+                self._warn("exceeded", _EXCEEDED.format(excess=nested.excess))
 
         def _set_majorants(self, values: list[float]) -> None:
             self.layer_majorants = [dr.opaque(mi.Float, value * self.scale) for value in values]
 
-        def _adopt(self) -> None:
-            assert self._nested is not None
-            self._set_majorants(self._nested.values)
-            if self._nested.excess is not None:
-                self._warn("exceeded", _EXCEEDED.format(excess=self._nested.excess))
+        def _differentiated(self) -> bool:
+            return any(dr.grad_enabled(value) for name in _PARAMETERS if (value := getattr(self, name)) is not None)
 
         def _warn(self, kind: str, text: str) -> None:
-            """Says something once."""
-            if kind not in self._told:
-                self._told.add(kind)
+            """Logs a warning of each kind once."""
+            if kind not in self._warned:
+                self._warned.add(kind)
                 mi.Log(mi.LogLevel.Warn, f"ndf: {self.run.path}, frame {self.frame}: {text}")
 
         def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
             return self._model.bbox.ray_intersect(ray)
 
         def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
-            # Asked for by integrators that scatter, and by no other.
-            colours.tell(self.run, scattering=True)
             return mi.UnpolarizedSpectrum(self.majorant)
 
         def get_scattering_coefficients(
@@ -247,11 +253,13 @@ def register() -> None:
         def coefficients(
             self, mei: mi.MediumInteraction3f, majorant: mi.Float, active: mi.Bool = True
         ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
-            """(σ_s, σ_n, σ_t) in 1/m, where σ_n is what is missing to the majorant."""
-            self._expect_no_gradients()
+            """(σ_s, σ_n, σ_t) in 1/m under a majorant, where σ_n = majorant − σ_t."""
+            if self._seen is not self._model and self._differentiated():
+                raise InputError("ndf: grid_spacing", "gradients of parameters", "none: what is sampled on a grid is detached",
+                                 "Leave out `grid_spacing`.")
             if self._model.bound.half and self._model.bound.attached:
                 self._warn("stalling", _STALLING)
-            sample = self._held().fused(mei.p, -mei.wi, active)
+            sample = self._seen.fused(mei.p, -mei.wi, active)
             extinction = sample.sigma * self.scale
             return (mi.UnpolarizedSpectrum(extinction * sample.colour), mi.UnpolarizedSpectrum(majorant - extinction),
                     mi.UnpolarizedSpectrum(extinction))
@@ -260,7 +268,7 @@ def register() -> None:
             return f"NDFMedium[\n  run = {self.run.path},\n  frame = {self.frame},\n  majorant = {self.majorant[0]:.4g}\n]"
 
     class NDFLayer(mi.Medium):
-        """What lies between two nested shells of an ``ndf`` medium: the same field under a majorant of its own. Made by ``ndf_shell``."""
+        """The field of an ``ndf`` medium between two nested shells, under a majorant of its own. Made by ``ndf_shell``."""
 
         def __init__(self, field: NDFMedium, index: int) -> None:
             props = mi.Properties("ndf")
@@ -271,9 +279,16 @@ def register() -> None:
             self.m_has_spectral_extinction = False
             self.index = index
             self.field = field
-            if index == 0:
-                # What integrators of the package ask a medium for, once a field.
-                self.posed = field.posed
+
+        @property
+        def neural_field(self) -> NeuralField:
+            """The medium that this is a layer of."""
+            return self.field
+
+        @property
+        def outermost(self) -> bool:
+            """Whether it lies within the outermost shell only."""
+            return self.index == 0
 
         @property
         def majorant(self) -> mi.Float:
@@ -291,7 +306,6 @@ def register() -> None:
             return self.field.intersect_aabb(ray)
 
         def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
-            colours.tell(self.field.run, scattering=True)
             return mi.UnpolarizedSpectrum(self.majorant)
 
         def get_scattering_coefficients(

@@ -11,9 +11,9 @@ import mitsuba as mi
 
 from ndf_mi.errors import InputError
 from ndf_mi.render import properties
+from ndf_mi.render.performers import FieldMedium, performers
+from ndf_mi.render.surfaces import next_surface, occluded
 from ndf_mi.render.transport import Crossing, Performer, Transport
-from ndf_mi.render.transport_scene import performers
-from ndf_mi.render.transport_surfaces import next_surface, occluded
 
 PATHS_AT_ONCE = 1 << 18
 """Paths of one pass, if the film has no more pixels: what bounds memory."""
@@ -324,5 +324,5 @@ def _check_gradients(scene: mi.Scene, ray: mi.Ray3f) -> None:
         raise InputError("ndf_path", "gradients asked of the sensor's rays", expected)
     params = mi.traverse(scene)
     for key, value in params.items():
-        if dr.grad_enabled(value) and not hasattr(params.properties[key][2], "posed"):
+        if dr.grad_enabled(value) and not isinstance(params.properties[key][2], FieldMedium):
             raise InputError(f"ndf_path: {key}", "gradients asked of it", expected)

@@ -9,10 +9,10 @@ import mitsuba as mi
 
 from ndf_mi.deprecated import rename_parameter
 from ndf_mi.errors import InputError
-from ndf_mi.model import PosedModel
 from ndf_mi.render import properties
-from ndf_mi.render.colours import tell
+from ndf_mi.render.performers import FieldMedium, NeuralField, emitting
 from ndf_mi.render.quadrature import Radiance, quadrature
+from ndf_mi.render.transport import Performer
 
 RAYS_AT_ONCE = 1 << 15
 """Rays of one pass: what bounds memory, at about 50 bytes a candidate sample."""
@@ -87,10 +87,10 @@ def register() -> None:
         def sample(
             self, mode: dr.ADMode, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool = True, **_: Any
         ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
-            model, scale = _performer(scene)
+            performer = _performer(scene)
             offset = sampler.next_1d() if self.stratified else None
             width = dr.width(ray.d)
-            passes = [self._pass(model, scale, ray, offset, first, min(RAYS_AT_ONCE, width - first))
+            passes = [self._pass(performer, ray, offset, first, min(RAYS_AT_ONCE, width - first))
                       for first in range(0, width, RAYS_AT_ONCE)]
             colour = mi.Color3f(*[_concat([seen.colour[i] for seen in passes]) for i in range(3)])
             opacity = _concat([seen.opacity for seen in passes])
@@ -101,16 +101,16 @@ def register() -> None:
                 colour += (1.0 - opacity) * environment.eval(si)
             return mi.Spectrum(colour), opacity > 0.5, self._aov_values(passes), None
 
-        def _pass(self, model: PosedModel, scale: float, ray: mi.Ray3f, offset: mi.Float | None, first: int, count: int) -> Radiance:
+        def _pass(self, performer: Performer, ray: mi.Ray3f, offset: mi.Float | None, first: int, count: int) -> Radiance:
             """Radiance along `count` rays from number `first` on."""
             index = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
             part = mi.Ray3f(dr.gather(mi.Point3f, ray.o, index), dr.gather(mi.Vector3f, ray.d, index))
             jitter = None
             if offset is not None:
-                jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples * model.sample_factor)
+                jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples * performer.volume.sample_factor)
             geometry = "uvl" in self.aovs or "normal" in self.aovs
-            return quadrature(model, part, self.samples, jitter=jitter, scale=scale, min_transmittance=self.min_transmittance,
-                              geometry=geometry)
+            return quadrature(performer.volume, part, self.samples, jitter=jitter, scale=performer.scale,
+                              min_transmittance=self.min_transmittance, geometry=geometry)
 
         def _aov_values(self, passes: list[Radiance]) -> list[mi.Float]:
             values: list[mi.Float] = []
@@ -130,18 +130,16 @@ def register() -> None:
     mi.register_integrator("ndf_quadrature", lambda props: NDFQuadrature(props))
 
 
-def _performer(scene: mi.Scene) -> tuple[PosedModel, float]:
-    """The field of the one ``ndf`` medium among the interiors of the scene's shapes, and the factor on its density."""
-    found: list[Any] = []
+def _performer(scene: mi.Scene) -> Performer:
+    """The field of the only ``ndf`` medium among the interiors of the scene's shapes."""
+    found: list[NeuralField] = []
     for shape in scene.shapes():
         medium = shape.interior_medium()
-        if hasattr(medium, "posed") and not any(medium is other for other in found):
-            found.append(medium)
+        if isinstance(medium, FieldMedium) and not any(medium.neural_field is other for other in found):
+            found.append(medium.neural_field)
     if len(found) != 1:
         raise InputError("ndf_quadrature", f"{len(found)} `ndf` media in the scene", "exactly one, as the interior of a shape")
-    field = getattr(found[0], "field", found[0])
-    tell(field.run, scattering=False)
-    return field.posed(), float(field.scale)
+    return emitting(found[0])
 
 
 def _concat(parts: list[mi.Float]) -> mi.Float:

@@ -7,6 +7,7 @@ import mitsuba as mi
 from ndf_mi.errors import InputError
 from ndf_mi.mitsuba_mesh import make_mesh
 from ndf_mi.plugins.ndf import find_run, frame_of, offset_of
+from ndf_mi.render.performers import FieldMedium
 from ndf_mi.render.shell import band_shell
 from ndf_mi.run import Run
 
@@ -18,8 +19,9 @@ def make_shell(props: mi.Properties) -> mi.Object:
     Shell of a neural deformable field (:monosp:`ndf_shell`)
     --------------------------------------------------------
 
-    A closed triangle mesh tightly around the band of a run's body at a frame, made when the scene is loaded; with ``layers``, several
-    of them, one within the other, between which the medium has local majorants. Give it an ``ndf`` medium as its interior.
+    A closed triangle mesh tightly around the band of a run's body at a frame, made when the scene is loaded. With ``layers``,
+    several of them, one within the other, between which the medium has local majorants. Give it an ``ndf`` medium as its
+    interior.
 
     .. pluginparameters::
 
@@ -31,28 +33,30 @@ def make_shell(props: mi.Properties) -> mi.Object:
        - Frame whose pose it follows. (Default: the interior medium's, or without one the run's first)
      * - offset
        - |vector|
-       - Where the performer stands, from where the run has them, in metres. (Default: the interior medium's, or without one 0, 0, 0)
+       - Where the performer stands relative to the run, in metres. (Default: the interior medium's, or without one 0, 0, 0)
      * - layers
        - |int|
-       - Number of nested shells at most; 0 for a single one in which the medium keeps the majorant that it has by construction. Fewer are
-         made where more would not pay. 4 is a good number for a trained field. (Default: 0)
+       - Largest number of nested shells; 0 for a single one, in which the medium keeps the majorant that holds by construction.
+         Fewer are made where more would not pay. 4 is a good number for a trained field. (Default: 0)
      * - cell
        - |float|
-       - Spacing in metres of the grid that it is cut from: smaller is tighter, with more triangles, and takes longer. (Default: 0.0125)
+       - Spacing in metres of the grid that the shell is cut from: a smaller one gives a tighter shell with more triangles, and
+         takes longer. (Default: 0.0125)
      * - (Nested plugin)
        - |bsdf|
        - What the shell itself looks like. (Default: null)
      * - interior, exterior
        - |medium|
-       - The ``ndf`` medium, and what is around it, if anything.
+       - The ``ndf`` medium, and the medium around the shell, if any.
 
-    - Contains every point of the band; where the body is thick enough, its inside deeper than ``band_inside`` is left out.
-    - The mesh is where the performer is, and faces outward: it takes no ``to_world`` and no ``flip_normals``. What moves it is the
-      ``offset`` of the medium.
-    - With ``layers``, the majorants are estimated from samples of the density; a check at other points raises those that it finds
-      exceeded, and says so. They are estimated anew when the medium's parameters change, unless gradients of these are enabled.
-      The first shape keeps the plugin's id, the others have ``_1``, ``_2`` … added; the parameters are those of the first one's medium.
-    - Two performers whose shells meet are not handled, as by other shapes with media in Mitsuba.
+    - Contains every point of the band. Where the body is thick enough, its inside deeper than ``band_inside`` is left out.
+    - The mesh is where the performer is, and faces outward: it accepts no ``to_world`` and no ``flip_normals``. To move it, set
+      the ``offset`` of the medium.
+    - With ``layers``, the majorants are estimated from samples of the density. A check at other points raises those that it finds
+      exceeded, and logs a warning. They are estimated again when the medium's parameters change, unless gradients of these
+      are enabled. The first shape keeps the plugin's id, the others have ``_1``, ``_2`` … added; the parameters belong to the
+      first one's medium.
+    - Two performers whose shells meet are not handled, as with other shapes that hold media in Mitsuba.
 
     .. tabs::
         .. code-tab:: xml
@@ -73,23 +77,24 @@ def make_shell(props: mi.Properties) -> mi.Object:
         raise InputError("ndf_shell: to_world", "a transformation", "none: the shell is where the performer is",
                          "Move the performer by the medium's `offset`.")
     if "flip_normals" in props:
-        raise InputError("ndf_shell: flip_normals", str(props["flip_normals"]).lower(), "none: the shell faces outward, as media need")
+        raise InputError("ndf_shell: flip_normals", str(props["flip_normals"]).lower(),
+                         "none: the shell faces outward, as media need")
     medium = props["interior"] if "interior" in props else None
-    field = medium if hasattr(medium, "nest") else None
+    field = medium.neural_field if isinstance(medium, FieldMedium) else None
     if "run" in props:
-        run = Run.load(find_run(props["run"]))
+        run = Run.shared(find_run(props["run"]))
         frame = frame_of(run, props)
     elif field is not None:
         run, frame = field.run, int(props.get("frame", field.frame))
     else:
         raise InputError("ndf_shell: run", "nothing", "the run's folder, or an `ndf` medium as its interior")
     if field is not None and (frame != field.frame or run.path.resolve() != field.run.path.resolve()):
-        raise InputError("ndf_shell: interior", f"a medium of {field.run.path}, frame {field.frame}", f"one of {run.path}, frame {frame}",
-                         "Leave run and frame of the shell out: they are its medium's.")
+        raise InputError("ndf_shell: interior", f"a medium of {field.run.path}, frame {field.frame}",
+                         f"one of {run.path}, frame {frame}", "Leave out the shell's run and frame: it takes those of its medium.")
     offset = offset_of(run, props) if field is None or "offset" in props else field.offset
     if field is not None and (offset != field.offset).any():
-        raise InputError("ndf_shell: interior", f"a medium with the offset {field.offset.tolist()}", f"one with {offset.tolist()}",
-                         "Leave the offset of the shell out: it is its medium's.")
+        raise InputError("ndf_shell: interior", f"a medium with the offset {field.offset.tolist()}",
+                         f"one with {offset.tolist()}", "Leave out the shell's offset: it takes that of its medium.")
     bsdf = _bsdf(props)
     if layers == 0:
         preset = run.model.field.preset
@@ -99,7 +104,7 @@ def make_shell(props: mi.Properties) -> mi.Object:
     if field is None:
         raise InputError("ndf_shell: layers", f"{layers} around no `ndf` medium", "an `ndf` medium as its interior")
     shells, media = field.nest(layers, cell)
-    # A plugin makes one object; Mitsuba's own `merge` is one that stands for several shapes.
+    # A plugin makes one object. Mitsuba's own `merge` is one that stands for several shapes.
     group = mi.Properties("merge")
     for index, (vertices, faces) in enumerate(shells):
         own = mi.Properties("ndf_shell")
@@ -115,7 +120,7 @@ def make_shell(props: mi.Properties) -> mi.Object:
 
 
 def _bsdf(props: mi.Properties) -> mi.BSDF:
-    """The BSDF given, or a null one, which is then given."""
+    """The BSDF among the properties; without one, a null BSDF, which is added to them."""
     for name in props.keys():  # noqa: SIM118 (properties are no mapping)
         if isinstance(props[name], mi.BSDF):
             return props[name]

@@ -101,7 +101,7 @@ class Render:
     def _run(self) -> None:
         from ndf_mi.capture.capture import Capture
         from ndf_mi.capture.viewpoint import framing
-        from ndf_mi.render.colours import mistaken
+        from ndf_mi.render.colours import misread
         from ndf_mi.render.output import write_exr, write_png
         from ndf_mi.run import Run
 
@@ -109,7 +109,7 @@ class Render:
             raise InputError("--define", "it together with a run", "it only with a scene")
         budget, error = self._wish()
         run = Run.load(self.source)
-        if (text := mistaken(run, scattering=False)) is not None:
+        if (text := misread(run, scattering=False)) is not None:
             print(f"ndf-mi: warning: {run.path}: {text}.", file=sys.stderr, flush=True)
         frame = int(run.poses.frames[0]) if self.frame is None else self.frame
         row = run.poses.index(frame)
@@ -170,9 +170,9 @@ class Render:
         return drawn_in_time(choice, run, frame, camera, geometry, tell)
 
     def _scene(self) -> None:
-        from ndf_mi.render.nested_check import faults
         from ndf_mi.render.output import write_exr, write_png
         from ndf_mi.render.scene import load_scene, render_scene
+        from ndf_mi.render.scene_issues import scene_issues
 
         mine = {"capture": None, "azimuth": 0.0, "elevation": 5.0, "budget": None, "error": None, "stratified": False,
                 "samples": None, "cutoff": None, "networks": None}
@@ -194,8 +194,8 @@ class Render:
             sensor = int(self.camera)
         scene = load_scene(self.source, parameters)
         # Told, and rendered all the same: a performer may be left out of a picture on purpose.
-        for fault in dict.fromkeys(faults(scene)):
-            print(f"ndf-mi: warning: {fault}", file=sys.stderr, flush=True)
+        for issue in dict.fromkeys(scene_issues(scene)):
+            print(f"ndf-mi: warning: {issue}", file=sys.stderr, flush=True)
         channels, srgb = render_scene(scene, sensor, self.spp or 0, self.size)
         if self.out.suffix.lower() == ".exr":
             write_exr(self.out, channels)

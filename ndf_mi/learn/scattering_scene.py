@@ -60,7 +60,7 @@ class ScatteringScene:
         self._shells = {frame: tuple(_padded(array, count) for array,
                                      count in zip(shell, largest, strict=True))
                         for frame, shell in shells.items()}
-        self._medium = mi.load_dict({"type": "ndf_lattice", "nx": nx, "ny": ny, "nz": nz, "cell": cell})
+        self._medium = mi.load_dict({"type": "ndf_grid", "nx": nx, "ny": ny, "nz": nz, "cell": cell})
         first = next(iter(self._shells.values()))
         self.scene = mi.load_dict({"type": "scene", **lights, "performer": _shell(self._medium, *first)})
         self._parameters = mi.traverse(self.scene)

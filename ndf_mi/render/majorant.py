@@ -9,9 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.field import Preset
-from ndf_mi.model import PosedModel
-from ndf_mi.render.blocks import Blocks
-from ndf_mi.render.ray_samples import VolumeField
+from ndf_mi.render.ray_samples import BoundedField, VolumeField
 from ndf_mi.render.shell import PARTS, Grid, Lattice, reduce_parts, spread
 
 MARGIN = 1.25
@@ -81,7 +79,7 @@ def densities(volume: VolumeField, points: np.ndarray) -> np.ndarray:
     return result
 
 
-def bounds(model: PosedModel | Blocks, preset: Preset, sampled: Lattice, margin: float = MARGIN) -> Bounds:
+def bounds(model: BoundedField, preset: Preset, sampled: Lattice, margin: float = MARGIN) -> Bounds:
     """Samples a field's density at the middles of the parts of every cell, and estimates it from above.
 
     A cell's estimate is `margin` times the largest sample in the cell and in the layer of parts around it, 4³ samples for a cell of 2³.

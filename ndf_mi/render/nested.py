@@ -8,11 +8,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ndf_mi.model import Model, PosedModel
+from ndf_mi.model import Model
 from ndf_mi.projection import Surface
-from ndf_mi.render.blocks import Blocks
 from ndf_mi.render.majorant import FLOOR, MARGIN, Bounds, bounds, densities, exceeding, random_points
 from ndf_mi.render.majorant_levels import choose_levels, expected_cost
+from ndf_mi.render.ray_samples import BoundedField
 from ndf_mi.render.shell import Grid, Lattice, band_points, corners_of, cut, lattice, spread
 
 CHECKED = 1 << 16
@@ -131,7 +131,7 @@ class Majorants:
         excess: what a check of other points found above the majorants that the estimate gave, if anything; they were raised.
     """
 
-    def __init__(self, model: Model, posed: PosedModel | Blocks, vertices: mi.Float, count: int, cell: float,
+    def __init__(self, model: Model, posed: BoundedField, vertices: mi.Float, count: int, cell: float,
                  margin: float = MARGIN) -> None:
         self._surface: Surface = model.surface
         self._preset = model.field.preset
@@ -151,7 +151,7 @@ class Majorants:
         points = band_points(self._surface, posed, self._preset.band, self._preset.band_inside, COVERED)
         return float(np.mean(self.layers.locate(points) < 0))
 
-    def update(self, posed: PosedModel | Blocks, vertices: mi.Float | None = None) -> None:
+    def update(self, posed: BoundedField, vertices: mi.Float | None = None) -> None:
         """Estimates the majorants anew, for a changed field between the same shells.
 
         Args:
@@ -162,7 +162,7 @@ class Majorants:
             self._sampled = lattice(self._surface, vertices, self._preset.band, self._cell)
         self._settle(posed, bounds(posed, self._preset, self._sampled, self._margin))
 
-    def _settle(self, posed: PosedModel | Blocks, estimate: Bounds) -> None:
+    def _settle(self, posed: BoundedField, estimate: Bounds) -> None:
         values = np.array(self.layers.majorants(estimate))
         points = random_points(estimate.grid, estimate.band, CHECKED, self._checks)
         self._checks += 1

@@ -42,6 +42,13 @@ class VolumeField(Protocol):
         ...
 
 
+class BoundedField(VolumeField, Protocol):
+    """A field with a bound on its density."""
+
+    majorant: float
+    """Strictly above every density, in 1/m."""
+
+
 @dataclass
 class Stratified:
     """A field along N rays, `count` strata a ray; the N·count strata of a ray are adjacent and in rising t.

@@ -267,7 +267,7 @@ def majorants() -> Iterator[Measured]:
 def majorant_equals_density() -> Iterator[Measured]:
     """Free flights need a majorant strictly above the density, or gradients come out wrong: it is 1.05 times the densest node."""
     nodes, cell, side = 8, 0.2, 1.0
-    medium = mi.load_dict({"type": "ndf_lattice", "nx": nodes, "ny": nodes, "nz": nodes, "cell": cell})
+    medium = mi.load_dict({"type": "ndf_grid", "nx": nodes, "ny": nodes, "nz": nodes, "cell": cell})
     start = -0.5 * cell * (nodes - 1)
     cube = mi.ScalarTransform4f().scale(side / 2)
     scene = mi.load_dict({"type": "scene", "cube": {"type": "cube", "to_world": cube, "bsdf": {"type": "null"}, "interior": medium}})

@@ -11,7 +11,7 @@ import trimesh
 from ridge_field import make_ridge, peak_of
 
 from ndf_mi.errors import InputError
-from ndf_mi.render.nested_check import faults, open_edges
+from ndf_mi.render.scene_issues import open_edges, scene_issues
 from ndf_mi.variants import cooperative_precisions
 
 RADIUS, BAND, SIZE = 0.3, 0.08, 8
@@ -154,7 +154,7 @@ def test_camera_inside_the_medium_agrees_with_mitsubas_grid_medium(wide, four_sh
     field = {"type": "ndf", "run": str(wide.path), "frame": 0}
     ours, theirs = (scene_of({"medium": what, "performer": shape}, integrator, sensor(**camera, medium=ref), depth=5)
                     for what, shape in ((field, shell), (medium, cube)))
-    assert not faults(ours)
+    assert not scene_issues(ours)
     agree(means(ours), means(theirs), also=8e-3)
 
 
@@ -378,12 +378,12 @@ def test_what_a_scene_gets_wrong_is_told(make_run):
     run, _ = make_ridge(make_run)
     medium = {"type": "ndf", "run": str(run.path)}
     null = {"type": "null"}
-    assert faults(scene_of({"performer": performer(run)})) == []
-    assert faults(scene_of({"ball": {"type": "sphere", "radius": 0.4, "bsdf": null, "interior": medium}})) == []
-    assert faults(scene_of({"ball": {"type": "sphere"}})) == []
+    assert scene_issues(scene_of({"performer": performer(run)})) == []
+    assert scene_issues(scene_of({"ball": {"type": "sphere", "radius": 0.4, "bsdf": null, "interior": medium}})) == []
+    assert scene_issues(scene_of({"ball": {"type": "sphere"}})) == []
 
     def only(scene, *words):
-        (text,) = faults(scene)
+        (text,) = scene_issues(scene)
         for word in words:
             assert word in text
         return text
@@ -397,14 +397,14 @@ def test_what_a_scene_gets_wrong_is_told(make_run):
     only(scene_of({"performer": performer(run)}, camera=sensor((0, 0, 0.33))), "sensor 0 is inside", "'performer'", "<ref")
     only(scene_of({"performer": performer(run)}, "prbvolpath", camera=sensor((0, 0, 0.33))), "begins outside of media")
     only(scene_of({"mine": {"type": "ndf_shell", "run": str(run.path)}}), "'mine'", "neither a surface", "`ndf` medium")
-    assert faults(scene_of({"glass": {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}, "interior": medium}})) == []
+    assert scene_issues(scene_of({"glass": {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}, "interior": medium}})) == []
 
 
 def test_integrators_within_others_are_looked_at(make_run):
     shape = {"performer": performer(make_ridge(make_run)[0])}
 
     def told(inner, outer="aov", **more):
-        return faults(mi.load_dict({"type": "scene", "integrator": {"type": outer, "inner": {"type": inner}, **more}, **shape}))
+        return scene_issues(mi.load_dict({"type": "scene", "integrator": {"type": outer, "inner": {"type": inner}, **more}, **shape}))
 
     for inner in ("path", "volprim_rf_basic"):
         (text,) = told(inner, aovs="d:depth")
@@ -420,14 +420,14 @@ def test_what_the_packages_integrators_can_show_is_no_fault(make_run, integrator
     medium = {"type": "ndf", "run": str(make_ridge(make_run)[0].path)}
     for shape in ({"type": "sphere", "radius": 0.31, "bsdf": {"type": "null"}}, {"type": "rectangle", "bsdf": {"type": "null"}},
                   {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}}):
-        assert faults(scene_of({"carrier": {**shape, "interior": medium}}, integrator, camera=sensor((0, 0, 0.33)))) == []
+        assert scene_issues(scene_of({"carrier": {**shape, "interior": medium}}, integrator, camera=sensor((0, 0, 0.33)))) == []
 
 
 def test_performers_that_meet_are_told(make_run):
     run, _ = make_ridge(make_run)
 
     def told(*offset, integrator="volpath"):
-        return faults(scene_of({"one": performer(run), "other": performer(run, offset=list(offset))}, integrator))
+        return scene_issues(scene_of({"one": performer(run), "other": performer(run, offset=list(offset))}, integrator))
 
     (text,) = told(0.7, 0.0, 0.0)
     assert "'one'" in text and "'other'" in text and "meet" in text
@@ -444,5 +444,5 @@ def test_open_mesh_is_told(make_run, tmp_path):
     ball.export(tmp_path / "open.ply")
     scene = scene_of({"mine": {"type": "ply", "filename": str(tmp_path / "open.ply"), "bsdf": {"type": "null"},
                                "interior": {"type": "ndf", "run": str(run.path)}}})
-    (text,) = faults(scene)
+    (text,) = scene_issues(scene)
     assert "mine" in text and "not closed (3 open edges)" in text and "ndf_shell" in text

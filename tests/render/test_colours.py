@@ -1,19 +1,14 @@
-"""Runs that are lit though their colours hold light, or shown as light though these are albedos: told once each, or not at all."""
+"""Runs that are lit though their colours hold light, or shown as light though these are albedos: one warning, or none."""
 
 import mitsuba as mi
 import pytest
 
-from ndf_mi.render import colours
+from ndf_mi.render.scene_issues import scene_issues
 
 LIGHT, ALBEDO = {"steps": 9}, {"steps": 9, "integrator": "prbvolpath", "warm_up": 5}
 
 
-@pytest.fixture(autouse=True)
-def nothing_told(monkeypatch):
-    monkeypatch.setattr(colours, "_told", set())
-
-
-def scene_of(run, integrator, layers):
+def scene_of(run, integrator, layers=0):
     return mi.load_dict({
         "type": "scene", "integrator": {"type": integrator}, "light": {"type": "constant"},
         "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0], [0, 1, 0]),
@@ -22,25 +17,29 @@ def scene_of(run, integrator, layers):
 
 
 @pytest.mark.parametrize("layers", [0, 2])
-@pytest.mark.parametrize(("training", "integrator", "word"), [
-    (LIGHT, "volpath", "lights are added"),
-    (LIGHT, "prbvolpath", "lights are added"),
-    (LIGHT, "ndf_path", None),
-    (ALBEDO, "volpath", None),
-    (ALBEDO, "ndf_path", "as if they were light"),
-    (ALBEDO, "ndf_quadrature", "as if they were light"),
-    (None, "volpath", None),
-    (None, "ndf_quadrature", None),
+@pytest.mark.parametrize(("training", "integrator", "expected"), [
+    (LIGHT, "volpath", True), (LIGHT, "prbvolpath", True), (LIGHT, "ndf_path", False), (ALBEDO, "volpath", False), (None, "volpath", False),
 ])
-def test_what_is_taken_for_something_else_is_told_once(make_constant_run, capfd, training, integrator, word, layers):
+def test_a_check_of_the_scene_finds_light_taken_for_albedo(make_constant_run, training, integrator, expected, layers):
+    run = make_constant_run(20.0)
+    run.config["training"] = training
+    run.save()
+    issues = [issue for issue in scene_issues(scene_of(run, integrator, layers)) if str(run.path) in issue]
+    assert len(issues) == expected and all("light" in issue and "ndf_quadrature" in issue for issue in issues)
+
+
+@pytest.mark.parametrize(("training", "integrator", "expected"), [
+    (ALBEDO, "ndf_path", True), (ALBEDO, "ndf_quadrature", True), (LIGHT, "ndf_path", False), (None, "ndf_quadrature", False),
+    (LIGHT, "volpath", False),
+])
+def test_integrators_warn_once_of_albedo_taken_for_light(make_constant_run, capfd, training, integrator, expected):
     run = make_constant_run(20.0)
     run.config["training"] = training
     run.save()
     for _ in range(2):
-        mi.render(scene_of(run, integrator, layers), spp=1)
-    said = "".join(capfd.readouterr())
-    assert said.count("its colours") == (word is not None)
-    assert word is None or (word in said and str(run.path) in said)
+        mi.render(scene_of(run, integrator), spp=1)
+    printed = "".join(capfd.readouterr())
+    assert printed.count("albedos") == expected and (str(run.path) in printed) == expected
 
 
 @pytest.mark.parametrize(("training", "trained", "expected"), [
@@ -51,7 +50,7 @@ def test_what_is_taken_for_something_else_is_told_once(make_constant_run, capfd,
     # It ended before scattering began.
     (ALBEDO, {"steps": 5}, "light"),
 ])
-def test_a_run_says_what_its_colours_are(make_run, training, trained, expected):
+def test_a_run_records_what_its_colours_are(make_run, training, trained, expected):
     run = make_run()
     run.config |= {"training": training, "trained": trained}
     assert run.colours == expected

@@ -13,7 +13,7 @@ COUNT = 1 << 16
 
 def slab_of(sigma, albedo, radiance):
     """Replay in a slab of thickness 1 on a lattice, majorant above its density, under an even sky; its rays, and its nodes' values."""
-    medium = mi.load_dict({"type": "ndf_lattice", "nx": 4, "ny": 4, "nz": 4, "cell": 1.0})
+    medium = mi.load_dict({"type": "ndf_grid", "nx": 4, "ny": 4, "nz": 4, "cell": 1.0})
     nodes = np.zeros((64, 4), np.float32)
     nodes[:] = sigma * np.array([1, albedo, albedo, albedo])
     values = mi.Float(nodes.ravel())

@@ -9,8 +9,8 @@ import pytest
 
 from ndf_mi.field.sample import FieldSample, Located
 from ndf_mi.render.quadrature import quadrature
+from ndf_mi.render.surfaces import next_surface, occluded
 from ndf_mi.render.transport import Performer, Transport
-from ndf_mi.render.transport_surfaces import next_surface, occluded
 
 
 @dataclass

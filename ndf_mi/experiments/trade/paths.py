@@ -58,7 +58,7 @@ class PathTracer:
         return self._scenes[key]
 
     def _performer(self, bounds: str, lattice: float, frame: int) -> dict[str, Any]:
-        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame, "lattice": lattice}
+        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame, "grid_spacing": lattice}
         if bounds == "box":
             low, high = self._box(frame)
             place = mi.ScalarTransform4f().translate((0.5 * (low + high)).tolist()).scale((0.5 * (high - low)).tolist())

@@ -1,4 +1,4 @@
-"""A field on blocks of a lattice, against scipy's interpolation on the same nodes and a density known in closed form."""
+"""A field on a sparse grid, against scipy's interpolation on the same nodes and a density known in closed form."""
 
 import dataclasses
 
@@ -11,8 +11,8 @@ from ridge_field import make_ridge
 from scipy.interpolate import RegularGridInterpolator
 
 from ndf_mi.errors import InputError
-from ndf_mi.render import blocks
-from ndf_mi.render.blocks import SIDE, Blocks
+from ndf_mi.render import sparse_grid
+from ndf_mi.render.sparse_grid import SIDE, SparseGrid
 
 CELL = 0.01
 
@@ -20,7 +20,7 @@ CELL = 0.01
 def blocked(run, cell=CELL):
     preset = run.model.field.preset
     vertices = mi.Float(run.poses.vertices[0].ravel())
-    return Blocks(run.posed(0), run.model.surface, vertices, max(preset.band, preset.band_inside), cell)
+    return SparseGrid(run.posed(0), run.model.surface, vertices, max(preset.band, preset.band_inside), cell)
 
 
 def points_of(rng, count, reach=0.45):
@@ -85,7 +85,7 @@ def test_nothing_at_all_is_a_field_too(make_run):
 def test_too_fine_a_lattice_is_refused_before_it_is_made(make_run, monkeypatch):
     with pytest.raises(InputError, match="memory"):
         blocked(make_run(), 1e-5)
-    monkeypatch.setattr(blocks, "LARGEST", 1 << 20)
+    monkeypatch.setattr(sparse_grid, "LARGEST", 1 << 20)
     with pytest.raises(InputError, match="about 0.0"):
         blocked(make_run())
 
@@ -107,15 +107,15 @@ def means(scene, count=6):
 
 def test_paths_see_the_same_in_it(make_run):
     run, _ = make_ridge(make_run, peak=-0.5, slope=6.0, srgb=(0.95, 0.8, 0.5), direction_octaves=-1)
-    field, lattice = means(scene_of(run)), means(scene_of(run, lattice=0.004))
-    noise = np.sqrt(field.var(0, ddof=1) / 6 + lattice.var(0, ddof=1) / 6)
-    assert (np.abs(field.mean(0) - lattice.mean(0)) < 4 * noise + 2e-3).all()
+    field, gridded = means(scene_of(run)), means(scene_of(run, grid_spacing=0.004))
+    noise = np.sqrt(field.var(0, ddof=1) / 6 + gridded.var(0, ddof=1) / 6)
+    assert (np.abs(field.mean(0) - gridded.mean(0)) < 4 * noise + 2e-3).all()
     assert (noise < 0.01).all() and field.mean() < 0.97
 
 
 def test_it_follows_the_parameters(make_run):
     run, _ = make_ridge(make_run, peak=-0.5, direction_octaves=-1)
-    scene = scene_of(run, lattice=0.01)
+    scene = scene_of(run, grid_spacing=0.01)
     before = means(scene, 2).mean()
     parameters = mi.traverse(scene)
     key = next(key for key in parameters.keys() if key.endswith("weights"))  # noqa: SIM118 - not a dict
@@ -126,7 +126,7 @@ def test_it_follows_the_parameters(make_run):
 
 def test_gradients_are_refused(make_run):
     run, _ = make_ridge(make_run, direction_octaves=-1)
-    scene = scene_of(run, "prbvolpath", lattice=0.02)
+    scene = scene_of(run, "prbvolpath", grid_spacing=0.02)
     parameters = mi.traverse(scene)
     key = next(key for key in parameters.keys() if key.endswith("weights"))  # noqa: SIM118 - not a dict
     dr.enable_grad(parameters[key])
@@ -140,7 +140,7 @@ def test_gradients_are_refused(make_run):
     assert "detached" in str(error)
 
 
-@pytest.mark.parametrize(("more", "text"), [({"lattice": -1.0}, "spacing above 0"), ({"lattice": float("nan")}, "spacing above 0")])
+@pytest.mark.parametrize(("more", "text"), [({"grid_spacing": -1.0}, "-1"), ({"grid_spacing": float("nan")}, "nan")])
 def test_bad_spacings_are_refused(make_run, more, text):
     with pytest.raises(RuntimeError, match=text):
         scene_of(make_run(), **more)
@@ -150,4 +150,11 @@ def test_colours_that_depend_on_the_view_are_refused(make_run):
     run = make_run(direction_octaves=2)
     assert dataclasses.asdict(run.model.field.preset)["direction_octaves"] == 2
     with pytest.raises(RuntimeError, match="view direction"):
-        scene_of(run, lattice=0.01)
+        scene_of(run, grid_spacing=0.01)
+
+
+def test_the_old_name_of_the_spacing_works(make_run, capsys):
+    run, _ = make_ridge(make_run, direction_octaves=-1)
+    medium = mi.load_dict({"type": "ndf", "run": str(run.path), "lattice": 0.05})
+    assert medium.grid_spacing == 0.05
+    assert "grid_spacing" in capsys.readouterr().err

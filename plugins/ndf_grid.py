@@ -1,10 +1,11 @@
-"""The medium plugin ``ndf_lattice``."""
+"""The medium plugin ``ndf_grid``, formerly ``ndf_lattice``."""
 
 from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
 
+from ndf_mi.deprecated import warn
 from ndf_mi.errors import InputError
 
 _MARGIN = 1.05
@@ -15,17 +16,17 @@ _FLOOR = 0.05
 def register() -> None:
     """Defines and registers the plugin for the active variant."""
 
-    class LatticeMedium(mi.Medium):
+    class GridMedium(mi.Medium):
         r"""
-        .. _medium-ndf_lattice:
+        .. _medium-ndf_grid:
 
-        Medium on a lattice (:monosp:`ndf_lattice`)
-        -------------------------------------------
+        Medium on a grid (:monosp:`ndf_grid`)
+        -------------------------------------
 
-        Extinction and scattering coefficient at the nodes of a lattice, linear in between along each axis, zero outside. Training through
-        scattering puts a field onto it once a step, where paths then look it up many times. What it does beyond Mitsuba's
-        ``heterogeneous`` with grid volumes: it can be moved without compiling anything, and its majorant is strictly above the density, as
-        gradients need it to be.
+        Extinction and scattering coefficient at the nodes of a grid, linear in between along each axis, zero outside. Training
+        through scattering samples a field on it once a step; paths then look it up many times. Unlike Mitsuba's
+        ``heterogeneous`` with grid volumes, it can be moved without compiling anything, and its majorant is strictly above the
+        density, as gradients need it to be.
 
         .. pluginparameters::
 
@@ -39,9 +40,10 @@ def register() -> None:
            - |phase|
            - Phase function. (Default: isotropic)
 
-        - What is at the nodes is set from Python, by ``fill``.
-        - Works under ``volpath``, ``volpathmis`` and ``prbvolpath``; bound it by any closed shape.
-        - The majorant is 1.05 times the largest density at a node: interpolation exceeds no node.
+        - The nodes' values are set from Python, with ``fill``.
+        - Works under ``volpath``, ``volpathmis`` and ``prbvolpath``, in any closed shape.
+        - The majorant is 1.05 times the largest density at a node, as interpolation exceeds no node.
+        - The old name ``ndf_lattice`` still works.
         """
 
         def __init__(self, props: mi.Properties) -> None:
@@ -51,18 +53,19 @@ def register() -> None:
             self.shape = (int(props["nx"]), int(props["ny"]), int(props["nz"]))
             self.cell = float(props["cell"])
             if min(self.shape) < 2:
-                raise InputError("ndf_lattice: nx, ny, nz", repr(self.shape), "at least 2 each")
+                raise InputError("ndf_grid: nx, ny, nz", repr(self.shape), "at least 2 each")
             if not 0 < self.cell < float("inf"):
-                raise InputError("ndf_lattice: cell", repr(self.cell), "a length above 0, in metres")
+                raise InputError("ndf_grid: cell", repr(self.cell), "a length above 0, in metres")
             nx, ny, nz = self.shape
             self._texture = mi.Texture3f((nz, ny, nx), 4, use_accel=False, wrap_mode=dr.WrapMode.Clamp)
             self.fill(dr.zeros(mi.Float, 4 * nx * ny * nz), mi.Point3f(0.0), mi.Float(0.0))
 
         def fill(self, nodes: mi.Float, low: mi.Point3f, densest: mi.Float) -> None:
-            """Sets what is at the nodes; gradients flow to them.
+            """Sets the nodes' values; gradients flow to them.
 
             Args:
-                nodes: flat (nz, ny, nx, 4): σ_t and the three channels of σ_s, in 1/m. Zero on the border, or it goes on outside.
+                nodes: flat (nz, ny, nx, 4): σ_t and the three channels of σ_s, in 1/m. Zero on the border; other values would
+                    continue outside.
                 low: position of the first node.
                 densest: one number, the largest σ_t at a node or more, in 1/m.
             """
@@ -82,13 +85,18 @@ def register() -> None:
         def get_scattering_coefficients(
             self, mei: mi.MediumInteraction3f, active: mi.Bool = True
         ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
-            # Texels' middles are the nodes.
+            # The centres of texels are the nodes.
             at = ((mei.p - self.low) / self.cell + 0.5) / mi.Vector3f(*self.shape)
             extinction, *scattering = self._texture.eval(mi.Point3f(at), active)
             return (mi.UnpolarizedSpectrum(*scattering), mi.UnpolarizedSpectrum(self.majorant - extinction),
                     mi.UnpolarizedSpectrum(extinction))
 
         def to_string(self) -> str:
-            return f"LatticeMedium[\n  shape = {self.shape},\n  cell = {self.cell:g},\n  majorant = {self.majorant[0]:.4g}\n]"
+            return f"GridMedium[\n  shape = {self.shape},\n  cell = {self.cell:g},\n  majorant = {self.majorant[0]:.4g}\n]"
 
-    mi.register_medium("ndf_lattice", lambda props: LatticeMedium(props))
+    def formerly(props: mi.Properties) -> GridMedium:
+        warn("plugin ndf_lattice", "ndf_grid")
+        return GridMedium(props)
+
+    mi.register_medium("ndf_grid", lambda props: GridMedium(props))
+    mi.register_medium("ndf_lattice", formerly)

@@ -23,7 +23,7 @@ def nodes(seed=0):
 
 def filled(values, low):
     nx, ny, nz = SHAPE
-    medium = mi.load_dict({"type": "ndf_lattice", "nx": nx, "ny": ny, "nz": nz, "cell": CELL})
+    medium = mi.load_dict({"type": "ndf_grid", "nx": nx, "ny": ny, "nz": nz, "cell": CELL})
     medium.fill(mi.Float(values.ravel()), mi.Point3f(*map(float, low)), mi.Float(float(values[..., 0].max())))
     return medium
 
@@ -86,4 +86,4 @@ def test_moving_and_filling_compile_nothing():
 def test_wrong_sizes_are_named():
     for change, word in (({"nx": 1}, "nx"), ({"cell": 0.0}, "cell")):
         with pytest.raises(Exception, match=word):
-            mi.load_dict({"type": "ndf_lattice", "nx": 4, "ny": 4, "nz": 4, "cell": 0.1, **change})
+            mi.load_dict({"type": "ndf_grid", "nx": 4, "ny": 4, "nz": 4, "cell": 0.1, **change})

@@ -1,10 +1,11 @@
-"""How far a field on a lattice, and one baked into Mitsuba's grid medium, are from the field itself, without noise.
+"""How far a field on a sparse grid, and one baked into Mitsuba's grid medium, are from the field itself, without noise.
 
-    python benchmarks/lattice_error.py RUN --size 96
+    python benchmarks/grid_error.py RUN --size 96
 
-Emission and absorption by quadrature along the same rays of a close view of the head, `--samples` a ray, of the field, of lattices (the
-medium's `lattice`) and of grids over the band's box as `volpath_cost.py` bakes them. Prints root mean square differences of opacity and of
-premultiplied linear colour over the pixels where the field's opacity is above a hundredth, and the grids' cells.
+Renders a close view of the head by quadrature, `--samples` a ray, from the field, from sparse grids (the medium's
+`grid_spacing`) and from dense grids over the band's box as `volpath_cost.py` bakes them. Prints root mean square differences of
+opacity and of premultiplied linear colour over the pixels where the field's opacity is above a hundredth, and the number of
+cells.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ import mitsuba as mi  # noqa: E402
 import volpath_cost  # noqa: E402
 
 from ndf_mi.field.sample import FieldSample, Located  # noqa: E402
-from ndf_mi.render.blocks import Blocks  # noqa: E402
 from ndf_mi.render.quadrature import quadrature  # noqa: E402
 from ndf_mi.render.ray_samples import VolumeField  # noqa: E402
+from ndf_mi.render.sparse_grid import SparseGrid  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 
@@ -44,7 +45,7 @@ class Options:
     samples: int = 1024
     """Samples a ray."""
 
-    lattices: tuple[float, ...] = (0.012, 0.006, 0.003)
+    spacings: tuple[float, ...] = (0.012, 0.006, 0.003)
     """Spacings in metres."""
 
     grids: tuple[int, ...] = (128, 256)
@@ -95,9 +96,9 @@ def main(options: Options) -> None:
     truth = seen(posed, rays, options)
     where = truth[3] > 0.01
     print("\n| way | opacity | colour |\n| --- | ---: | ---: |")
-    for size in options.lattices:
-        held = Blocks(posed, run.model.surface, vertices, max(preset.band, preset.band_inside), size)
-        row(f"lattice of {1e3 * size:g} mm", seen(held, rays, options), truth, where)
+    for size in options.spacings:
+        held = SparseGrid(posed, run.model.surface, vertices, max(preset.band, preset.band_inside), size)
+        row(f"sparse grid of {1e3 * size:g} mm", seen(held, rays, options), truth, where)
     for n in options.grids:
         row(f"grid {n}", seen(Grid(volpath_cost.baked(run, frame, n), posed.bbox), rays, options), truth, where)
 
