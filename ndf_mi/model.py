@@ -1,4 +1,5 @@
-"""N(x, d, θ) = (σ, c): projection, deformation and field composed. Plugins, training and methods hold this."""
+"""N(x, d, θ) = (σ, c): projection, deformation and field composed. Plugins, training and methods hold
+this."""
 
 from __future__ import annotations
 
@@ -16,8 +17,8 @@ from ndf_mi.field.sample import FieldSample, Located
 from ndf_mi.projection import PosedSurface, Projection, Surface
 
 NETWORKS = ("auto", "batched", "fused", "half")
-"""How evaluated code runs the networks where nothing is differentiated: as matrix products over all samples, as cooperative
-vectors, or as cooperative vectors in half precision; `auto` takes the faster of the first two
+"""How evaluated code runs the networks where nothing is differentiated: as matrix products over all samples,
+as cooperative vectors, or as cooperative vectors in half precision; `auto` takes the faster of the first two
 (:func:`ndf_mi.variants.fused_width`)."""
 
 
@@ -52,7 +53,8 @@ class Model:
 
 
 class PosedModel:
-    """A :class:`Model` with parameters at one pose: a `VolumeField` for the quadrature, and a medium's coefficients.
+    """A :class:`Model` with parameters at one pose: a `VolumeField` for the quadrature, and a medium's
+    coefficients.
 
     Args:
         model: architecture and coordinates.
@@ -91,7 +93,8 @@ class PosedModel:
         return self.surface.may_contain(x)
 
     def locate(self, x: mi.Point3f, active: mi.Bool) -> Located:
-        """Projects points, detached. Valid are the active ones in the band, with an occupancy only those that it keeps."""
+        """Projects points, detached. Valid are the active ones in the band, with an occupancy only those that
+        it keeps."""
         with dr.suspend_grad():
             found = self.surface.project(x, active)
             located = self._located(found)
@@ -110,8 +113,9 @@ class PosedModel:
     def evaluate(self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool) -> FieldSample:
         """Density and colour at located points, for evaluated code.
 
-        Attached to the parameters. Where gradients are tracked in the points or in the body's vertices, also attached to these:
-        the points are then projected onto the triangles found, in closed form and without another search.
+        Attached to the parameters. Where gradients are tracked in the points or in the body's vertices, also
+        attached to these: the points are then projected onto the triangles found, in closed form and without
+        another search.
         """
         active = active & located.valid
         if dr.grad_enabled(x) or dr.grad_enabled(self.surface.vertices):
@@ -131,13 +135,15 @@ class PosedModel:
         return self._sample(sigma, colour, located, active)
 
     def fused(self, x: mi.Point3f, d: mi.Vector3f, active: mi.Bool | bool = True) -> FieldSample:
-        """Density and colour at any point, for symbolic code; density is zero outside the band. Attached as :meth:`evaluate`."""
+        """Density and colour at any point, for symbolic code; density is zero outside the band. Attached as
+        :meth:`evaluate`."""
         located = self._located(self.surface.project(x, mi.Bool(active)))
         u, d, n = self._inputs(x, d, located, located.valid)
         return self._sample(*self.bound.fused(u, d, n, located.valid), located, located.valid)
 
     def unit(self, uv: mi.Point2f, l: mi.Float) -> mi.Point3f:
-        """(u*, v*, l*) in the unit cube, whatever the networks' coordinates: l from −`band_inside` to `band` becomes 0 to 1."""
+        """(u*, v*, l*) in the unit cube, whatever the networks' coordinates: l from −`band_inside` to `band`
+        becomes 0 to 1."""
         scale = 1.0 / (self._band + self._inside)
         return mi.Point3f(uv.x, uv.y, dr.fma(l, scale, self._inside * scale))
 
@@ -149,7 +155,8 @@ class PosedModel:
     def _inputs(
         self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool
     ) -> tuple[list[mi.Float], mi.Vector3f, mi.Normal3f]:
-        """The networks' inputs, constants in inactive lanes: a number that is not finite there would poison every gradient."""
+        """The networks' inputs, constants in inactive lanes: a number that is not finite there would poison
+        every gradient."""
         u = self._coordinates(x, located, active)
         return (u, dr.select(active, d, mi.Vector3f(0.0, 0.0, 1.0)),
                 dr.select(active, located.normal, mi.Normal3f(0.0, 0.0, 1.0)))
@@ -160,7 +167,8 @@ class PosedModel:
         return FieldSample(dr.select(active, sigma * self._fading(l), 0.0), colour, mi.Point3f(uv.x, uv.y, l), located.normal)
 
     def _prefers_fused(self) -> bool:
-        """Whether to use cooperative vectors where either form would do: they are faster for small networks, forward."""
+        """Whether to use cooperative vectors where either form would do: they are faster for small networks,
+        forward."""
         return self.bound.width <= variants.fused_width() if self._networks == "auto" else self._networks != "batched"
 
     def _fading(self, l: mi.Float) -> mi.Float:

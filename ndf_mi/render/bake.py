@@ -1,4 +1,5 @@
-"""A field sampled at the nodes of a grid: only the nodes that lie in the field are evaluated, by batched networks, attached."""
+"""A field sampled at the nodes of a grid: only the nodes that lie in the field are evaluated, by batched
+networks, attached."""
 
 from __future__ import annotations
 
@@ -50,8 +51,8 @@ class Baked:
     densest: mi.Float
 
     def vjp(self, adjoint: mi.Float) -> mi.Float:
-        """Σ adjoint · nodes, attached: its derivatives in the field's parameters are the vector-Jacobian product of `adjoint`, the
-        derivatives of some function in `nodes`."""
+        """Σ adjoint · nodes, attached: its derivatives in the field's parameters are the vector-Jacobian
+        product of `adjoint`, the derivatives of some function in `nodes`."""
         samples, total = self.samples, mi.Float(0.0)
         for channel, value in enumerate(samples.values):
             total = total + dr.sum(value * dr.gather(mi.Float, adjoint, 4 * samples.index + channel, samples.real))
@@ -59,7 +60,8 @@ class Baked:
 
 
 def sample_nodes(volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], candidates: mi.Bool) -> NodeSamples:
-    """Evaluates a field at those candidate nodes that lie in it. Colours must not depend on the view direction.
+    """Evaluates a field at those candidate nodes that lie in it. Colours must not depend on the view
+    direction.
 
     Args:
         at: positions of nodes.
@@ -79,7 +81,8 @@ def sample_nodes(volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], can
 
 
 def bake(volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, int, int]) -> Baked:
-    """Evaluates `volume` at the inner nodes of a grid; the outermost stay empty. Colours must not depend on the view direction.
+    """Evaluates `volume` at the inner nodes of a grid; the outermost stay empty. Colours must not depend on
+    the view direction.
 
     Args:
         low: position of the first node.

@@ -1,4 +1,4 @@
-"""Local majorants: upper estimates of a field's density in the cells of a grid, at one pose, from samples."""
+"""Local majorants: upper estimates of a field's density in the cells of a grid at one pose, from samples."""
 
 from __future__ import annotations
 
@@ -10,28 +10,27 @@ import numpy as np
 
 from ndf_mi.field import Preset
 from ndf_mi.render.ray_samples import BoundedField, VolumeField
-from ndf_mi.render.shell import PARTS, Grid, Lattice, reduce_parts, spread
+from ndf_mi.render.shell import PARTS, Distances, Grid, reduce_parts, spread
 
 MARGIN = 1.25
-"""Factor from the largest density sampled in and next to a cell to its estimate."""
+"""Factor from the largest density sampled in and next to a cell to the cell's estimate."""
 
 FLOOR = 0.05
-"""Least estimate in 1/m: free flights divide by it, and gradients need a majorant above every density."""
+"""Smallest estimate in 1/m: free flights divide by it, and gradients need a majorant above every density."""
 
 CHUNK = 1 << 16
-"""Samples evaluated at once; the last of them are filled up, as batched networks have their number compiled into kernels."""
+"""Samples evaluated at once. The last chunk is filled up, as its size is compiled into the kernels of batched networks."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """A field's density cell by cell, as far as samples tell.
+    """Upper estimates of a field's density, cell by cell.
 
     Attributes:
         grid: the cells.
-        band: (nx, ny, nz) bool, the cells that the band can touch: the others hold no density.
-        upper: (nx, ny, nz) float32 upper estimate in 1/m, at least :data:`FLOOR` in the band's cells, 0 in the others, and never above
-            `limit`.
-        seen: (nx, ny, nz) float32 share of the light from outside that reaches each cell, roughly (:func:`transmittances`).
+        band: (nx, ny, nz) bool, the cells that the band can touch; the others hold no density.
+        upper: (nx, ny, nz) float32 upper estimate in 1/m: from :data:`FLOOR` to `limit` in the band's cells, 0 in the others.
+        seen: (nx, ny, nz) float32 approximate share of the light from outside that reaches each cell (:func:`transmittances`).
         limit: the bound that the density's activation gives, in 1/m.
     """
 
@@ -44,12 +43,13 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Excess:
-    """Where samples were denser than a majorant.
+    """Samples that were denser than the majorant there.
 
     Attributes:
-        checked: how many samples there were.
-        count: how many of them were above it.
-        point: (3,) the worst of them, world, metres; `density` there and the `majorant`, in 1/m.
+        checked: number of samples.
+        count: how many of them exceeded the majorant.
+        point: (3,) the worst of them, world, metres.
+        density, majorant: there, in 1/m.
     """
 
     checked: int
@@ -60,8 +60,8 @@ class Excess:
 
     def __str__(self) -> str:
         x, y, z = (f"{v:.3f}" for v in self.point)
-        return (f"the density at ({x}, {y}, {z}) is {self.density:.4g} per metre, above the majorant {self.majorant:.4g} there; "
-                f"so were {self.count} of {self.checked} points")
+        return (f"the density at ({x}, {y}, {z}) is {self.density:.4g} per metre, above the majorant {self.majorant:.4g}; "
+                f"{self.count} of {self.checked} points exceed theirs")
 
 
 def densities(volume: VolumeField, points: np.ndarray) -> np.ndarray:
@@ -79,31 +79,32 @@ def densities(volume: VolumeField, points: np.ndarray) -> np.ndarray:
     return result
 
 
-def bounds(model: BoundedField, preset: Preset, sampled: Lattice, margin: float = MARGIN) -> Bounds:
-    """Samples a field's density at the middles of the parts of every cell, and estimates it from above.
+def bounds(volume: BoundedField, preset: Preset, sampled: Distances, margin: float = MARGIN) -> Bounds:
+    """Samples a field's density at the centres of the parts of every cell, and estimates it from above.
 
-    A cell's estimate is `margin` times the largest sample in the cell and in the layer of parts around it, 4³ samples for a cell of 2³.
-    It is an estimate, not a proof: :func:`exceeding` checks it at other points.
+    A cell's estimate is `margin` times the largest sample in the cell and in the layer of parts around it: 4³ samples for a cell of
+    2³ parts. It is an estimate, not a bound: :func:`exceeding` checks it at other points.
 
     Args:
-        model: the field at the pose that `sampled` is of.
+        volume: the field, at the pose that `sampled` is of.
         preset: the field's.
-        sampled: the lattice around its band.
+        sampled: distances around its band.
         margin: factor, above 1.
     """
     inside = sampled.distance.reshape(-1)[sampled.places]
     some = (inside <= preset.band) & (inside >= -preset.band_inside)
     places = sampled.places[some]
     sigma = np.zeros(sampled.distance.shape, dtype=np.float32)
-    sigma.reshape(-1)[places] = densities(model, sampled.points(places))
+    sigma.reshape(-1)[places] = densities(volume, sampled.points(places))
     band = sampled.band_cells(preset.band, preset.band_inside)
-    upper = np.clip(margin * reduce_parts(spread(sigma), np.maximum), FLOOR, model.majorant)
+    upper = np.clip(margin * reduce_parts(spread(sigma), np.maximum), FLOOR, volume.majorant)
     mean = reduce_parts(sigma, np.add) / PARTS**3
-    return Bounds(sampled.grid, band, np.where(band, upper, 0).astype(np.float32), transmittances(mean, sampled.grid.cell), model.majorant)
+    upper = np.where(band, upper, 0).astype(np.float32)
+    return Bounds(sampled.grid, band, upper, transmittances(mean, sampled.grid.cell), volume.majorant)
 
 
 def random_points(grid: Grid, cells: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """(count, 3) float64 points, uniform in the cells where (nx, ny, nz) `cells` is true; none if it is nowhere."""
+    """(count, 3) float64 points, uniform in the cells where (nx, ny, nz) `cells` is true; none if there are no such cells."""
     rng = np.random.default_rng(seed)
     chosen = np.flatnonzero(cells)
     if not len(chosen):
@@ -113,7 +114,7 @@ def random_points(grid: Grid, cells: np.ndarray, count: int, seed: int) -> np.nd
 
 
 def exceeding(points: np.ndarray, sigma: np.ndarray, majorants: np.ndarray) -> Excess | None:
-    """Compares densities (N,) at points (N, 3) with the majorants (N,) there; None where none is above its own."""
+    """Compares densities (N,) at points (N, 3) with the majorants (N,) there; None where none exceeds its own."""
     above = sigma > majorants
     if not above.any():
         return None
@@ -122,8 +123,16 @@ def exceeding(points: np.ndarray, sigma: np.ndarray, majorants: np.ndarray) -> E
 
 
 def transmittances(mean: np.ndarray, cell: float) -> np.ndarray:
-    """How much of the light from outside reaches each cell: the mean over beams along ±x, ±y and ±z of the transmittance up to the cell's
-    middle, (nx, ny, nz) float32 in [0, 1], of mean densities in 1/m."""
+    """The approximate share of the light from outside that reaches each cell: the mean transmittance up to the cell's centre over
+    beams along ±x, ±y and ±z.
+
+    Args:
+        mean: (nx, ny, nz) mean densities in 1/m.
+        cell: the cells' side, metres.
+
+    Returns:
+        (nx, ny, nz) float32 in [0, 1].
+    """
     total = np.zeros(mean.shape, dtype=np.float32)
     for axis in range(3):
         depth = cell * (np.cumsum(mean, axis) - 0.5 * mean)

@@ -1,4 +1,4 @@
-"""Nested shells: closed meshes around ever denser parts of a field, between which local majorants hold."""
+"""Nested shells: closed meshes around increasingly dense parts of a field, between which local majorants hold."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ndf_mi.projection import Surface
 from ndf_mi.render.majorant import FLOOR, MARGIN, Bounds, bounds, densities, exceeding, random_points
 from ndf_mi.render.majorant_levels import choose_levels, expected_cost
 from ndf_mi.render.ray_samples import BoundedField
-from ndf_mi.render.shell import Grid, Lattice, band_points, corners_of, cut, lattice, spread
+from ndf_mi.render.shell import Distances, Grid, band_points, corners_of, cut, distances, spread
 
 CHECKED = 1 << 16
-"""Random points of the band that majorants are checked at."""
+"""Random points of the band at which majorants are checked."""
 
 COVERED = 1 << 12
-"""Random points of the band that are looked for in the shells after the body has moved."""
+"""Random points of the band that are tested to lie in the shells after the body has moved."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Layers:
 
     Attributes:
         grid: the grid that the shells are cut from.
-        rank: (nx + 1, ny + 1, nz + 1) uint8, how many shells each node lies within. Neighbours differ by at most one.
-        levels: t_1 < … < t_(K−1), as chosen, in 1/m.
-        shells: K pairs of vertices (N, 3) float32 and faces (M, 3) uint32, from the outermost on; each closed, its normals pointing out.
+        rank: (nx + 1, ny + 1, nz + 1) uint8, the number of shells that each node lies within. Neighbours differ by at most one.
+        levels: t_1 < … < t_(K−1), in 1/m.
+        shells: K pairs of vertices (N, 3) float32 and faces (M, 3) uint32, outermost first; closed, normals pointing out.
     """
 
     grid: Grid
@@ -39,28 +39,28 @@ class Layers:
     shells: list[tuple[np.ndarray, np.ndarray]] = field(repr=False)
 
     def majorants(self, estimate: Bounds) -> list[float]:
-        """The layers' majorants in 1/m, for estimates on this grid or on another of the same spacing."""
+        """The layers' majorants in 1/m, from estimates on this grid or on another of the same spacing."""
         return layer_majorants(self.grid, self.rank, estimate)
 
     def locate(self, points: np.ndarray) -> np.ndarray:
-        """(N,) int64 layers of points (N, 3); next to a shell the outer one of the two layers that may be meant; −1 where a point may be
+        """(N,) int64 layers of points (N, 3). Next to a shell it is the outer of the two possible layers; −1 where a point may be
         outside all shells."""
         lowest, _ = corner_ranks(self.rank)
         return lowest[self.grid.index(points)].astype(np.int64) - 1
 
 
 def ranks(estimate: Bounds, levels: tuple[float, ...]) -> tuple[Grid, np.ndarray]:
-    """How many of the shells at some levels are around each node.
+    """How many of the shells at given levels enclose each node.
 
-    Every node that touches a cell with an estimate above t_k is within shell k, and its 26 neighbours within shell k − 1 at least:
-    the cells that shell k crosses thus lie wholly inside shell k − 1, which crosses others. So shells neither meet nor touch.
+    Every node that touches a cell with an estimate above t_k is within shell k, and its 26 neighbours are at least within shell
+    k − 1. The cells that shell k crosses thus lie entirely inside shell k − 1, which crosses others: shells neither meet nor touch.
 
     Args:
         estimate: the field's density cell by cell.
         levels: ascending, in 1/m; none for the outermost shell alone.
 
     Returns:
-        the estimate's grid with a border, and the ranks of its nodes as in :class:`Layers`.
+        the estimate's grid with a border added, and the ranks of its nodes as in :class:`Layers`.
     """
     pad = len(levels) + 1
     source = estimate.grid
@@ -73,13 +73,13 @@ def ranks(estimate: Bounds, levels: tuple[float, ...]) -> tuple[Grid, np.ndarray
     return Grid(source.low - pad * source.cell, source.cell, (nx, ny, nz)), rank
 
 
-def cut_layers(estimate: Bounds, sampled: Lattice, band: float, inside: float, levels: tuple[float, ...]) -> Layers:
+def cut_layers(estimate: Bounds, sampled: Distances, band: float, inside: float, levels: tuple[float, ...]) -> Layers:
     """Nested shells at given levels.
 
     Args:
         estimate: the field's density cell by cell.
-        sampled: the lattice that it was made from.
-        band, inside: how far the band reaches outside and inside, in metres.
+        sampled: the distances that it was made from.
+        band, inside: how far the band reaches outside and inside the body, in metres.
         levels: ascending, in 1/m; none for the outermost shell alone.
     """
     grid, rank = ranks(estimate, levels)
@@ -92,7 +92,7 @@ def cut_layers(estimate: Bounds, sampled: Lattice, band: float, inside: float, l
 
 
 def best_levels(estimate: Bounds, count: int) -> tuple[float, ...]:
-    """The levels of nested shells, `count` at most, that let rays meet few null collisions."""
+    """The levels of at most `count` nested shells with the lowest expected cost."""
 
     def cost(levels: tuple[float, ...]) -> float:
         grid, rank = ranks(estimate, levels)
@@ -102,33 +102,33 @@ def best_levels(estimate: Bounds, count: int) -> tuple[float, ...]:
 
 
 def layer_majorants(grid: Grid, rank: np.ndarray, estimate: Bounds) -> list[float]:
-    """For each layer the largest estimate, in 1/m, of the cells that it reaches into; at least the estimates' floor."""
+    """For each layer the largest estimate in 1/m among the cells that it reaches into; at least :data:`FLOOR`."""
     upper = _on(grid, estimate)
     lowest, highest = corner_ranks(rank)
     return [float(np.max(upper, where=(lowest <= k) & (k <= highest), initial=FLOOR)) for k in range(1, int(rank.max()) + 1)]
 
 
 def corner_ranks(rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest rank of each cell's corners, (nx, ny, nz)."""
+    """Lowest and highest rank among each cell's corners, (nx, ny, nz)."""
     lowest = np.uint8(255) - corners_of(np.uint8(255) - rank)
     return lowest[1:-1, 1:-1, 1:-1], corners_of(rank)[1:-1, 1:-1, 1:-1]
 
 
 class Majorants:
-    """Nested shells of a field at one pose, and majorants between them that follow the field's changes.
+    """Nested shells around a field at one pose, and majorants between them that can be estimated again as the field changes.
 
     Args:
-        model: the field.
-        posed: the same at its pose.
+        model: the field's.
+        posed: the field at its pose, or sampled on a grid.
         vertices: flat (3·V) posed positions in metres.
-        count: number of shells at most, from 1 on.
+        count: largest number of shells, at least 1.
         cell: the grid's spacing in metres.
         margin: factor from sampled densities to estimates, above 1.
 
     Attributes:
         layers: the shells.
         values: the layers' majorants in 1/m.
-        excess: what a check of other points found above the majorants that the estimate gave, if anything; they were raised.
+        excess: densities above the estimated majorants that a check at other points found, if any. The majorants were raised.
     """
 
     def __init__(self, model: Model, posed: BoundedField, vertices: mi.Float, count: int, cell: float,
@@ -138,28 +138,28 @@ class Majorants:
         self._margin = margin
         self._cell = cell
         self._checks = 0
-        self._sampled = lattice(model.surface, vertices, self._preset.band, cell)
+        self._sampled = distances(model.surface, vertices, self._preset.band, cell)
         estimate = bounds(posed, self._preset, self._sampled, margin)
         levels = best_levels(estimate, count)
         self.layers = cut_layers(estimate, self._sampled, self._preset.band, self._preset.band_inside, levels)
         self._settle(posed, estimate)
 
     def left_out(self, vertices: mi.Float) -> float:
-        """The share of the band of a body with these vertices that lies outside the shells, by random points: 0 for the body that they
-        were made around."""
+        """The share of the band around these vertices that lies outside the shells, from random points; 0 for the body that the
+        shells were made around."""
         posed = dr.detach(vertices).numpy().reshape(-1, 3)
         points = band_points(self._surface, posed, self._preset.band, self._preset.band_inside, COVERED)
         return float(np.mean(self.layers.locate(points) < 0))
 
     def update(self, posed: BoundedField, vertices: mi.Float | None = None) -> None:
-        """Estimates the majorants anew, for a changed field between the same shells.
+        """Estimates the majorants again, for a changed field between the same shells.
 
         Args:
-            posed: the field as it is now.
-            vertices: the body's, where they have changed.
+            posed: the changed field.
+            vertices: the body's, if they have changed.
         """
         if vertices is not None:
-            self._sampled = lattice(self._surface, vertices, self._preset.band, self._cell)
+            self._sampled = distances(self._surface, vertices, self._preset.band, self._cell)
         self._settle(posed, bounds(posed, self._preset, self._sampled, self._margin))
 
     def _settle(self, posed: BoundedField, estimate: Bounds) -> None:
@@ -176,7 +176,7 @@ class Majorants:
 
 
 def _on(grid: Grid, estimate: Bounds) -> np.ndarray:
-    """The estimates on another grid of the same spacing: cells of the one that reach into a cell of the other count for it."""
+    """The estimates on another grid of the same spacing: the maximum over the cells that reach into each of its cells."""
     source = estimate.grid
     upper = np.zeros(grid.shape, dtype=np.float32)
     offset = (source.low - grid.low) / grid.cell

@@ -1,4 +1,5 @@
-"""The performers of a scene: how media that hold neural fields are recognised, and what a scene may not hold besides."""
+"""The performers of a scene: how media that hold neural fields are recognised, and what a scene may not hold
+besides."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ class NeuralField(Protocol):
 
 @runtime_checkable
 class FieldMedium(Protocol):
-    """What integrators and checks recognise a medium of a neural field by: such a medium itself, or one layer of it."""
+    """What integrators and checks recognise a medium of a neural field by: such a medium itself, or one layer
+    of it."""
 
     @property
     def neural_field(self) -> NeuralField:
@@ -51,31 +53,40 @@ class FieldMedium(Protocol):
 
     @property
     def outermost(self) -> bool:
-        """Whether the medium's shape bounds the whole field; false for the inner layers between nested shells."""
+        """Whether the medium's shape bounds the whole field; false for the inner layers between nested
+        shells."""
         ...
 
 
 def performers(scene: mi.Scene, integrator: str) -> list[Performer]:
-    """The fields of a scene's ``ndf`` media with their present parameters, in the order of the scene's shapes.
+    """The fields of a scene's ``ndf`` media with their present parameters, in the order of the scene's
+    shapes.
 
-    Media of the same run, frame, scale and offset are one performer, and the first speaks for all. Logs a warning for a run
-    whose colours are albedos, once a process.
+    Media of the same run, frame, scale and offset are one performer, and the first speaks for all. Logs a
+    warning for a run whose colours are albedos, once a process.
 
     Args:
         integrator: the plugin's name, for messages.
 
     Raises:
-        InputError: the scene holds another medium, or the BSDF of a shape around an ``ndf`` medium lets no light in.
+        InputError: the scene holds another medium, or the BSDF of a shape around an ``ndf`` medium lets no
+            light in.
     """
     found: dict[Any, NeuralField] = {}
     for shape in scene.shapes():
         for medium in (shape.interior_medium(), shape.exterior_medium()):
             if medium is not None:
                 field = _expect_field(medium, f"{integrator}: {_name(shape)}")
-                found.setdefault((os.path.realpath(field.run.path), field.frame, field.scale, *field.offset.tolist()), field)
+                found.setdefault(
+                    (os.path.realpath(field.run.path), field.frame, field.scale, *field.offset.tolist()),
+                    field,
+                )
         if shape.interior_medium() is not None and not lets_light_in(shape.bsdf()):
-            raise InputError(f"{integrator}: {_name(shape)}", f"the BSDF {shape.bsdf().class_name()} around an `ndf` medium",
-                             'one that lets light in: `<bsdf type="null"/>`')
+            raise InputError(
+                f"{integrator}: {_name(shape)}",
+                f"the BSDF {shape.bsdf().class_name()} around an `ndf` medium",
+                'one that lets light in: `<bsdf type="null"/>`',
+            )
     for sensor in scene.sensors():
         if sensor.get_medium() is not None:
             _expect_field(sensor.get_medium(), f"{integrator}: the sensor's medium")
@@ -98,8 +109,12 @@ def lets_light_in(bsdf: mi.BSDF) -> bool:
 
 def _expect_field(medium: mi.Medium, where: str) -> NeuralField:
     if not isinstance(medium, FieldMedium):
-        raise InputError(where, f"a medium of the class {medium.class_name()}", "no media but `ndf`",
-                         "Only performers are integrated along rays: remove the medium, or render with `volpath`.")
+        raise InputError(
+            where,
+            f"a medium of the class {medium.class_name()}",
+            "no media but `ndf`",
+            "Only performers are integrated along rays: remove the medium, or render with `volpath`.",
+        )
     return medium.neural_field
 
 

@@ -1,7 +1,8 @@
 """Stratified samples of a field along rays, evaluated only where the field may be anything but empty.
 
-There is one candidate a stratum. Those that a cheap test leaves are located; those that lie in the field are evaluated. Each time
-the survivors are gathered into shorter arrays. Where candidates lie and which of them are evaluated is detached.
+There is one candidate a stratum. Those that a cheap test leaves are located; those that lie in the field are
+evaluated. Each time the survivors are gathered into shorter arrays. Where candidates lie and which of them
+are evaluated is detached.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from ndf_mi.render.sampling import box_interval, compact, stratified
 
 
 class VolumeField(Protocol):
-    """What can be rendered: something in a box that knows cheaply where it is empty, and what it is elsewhere."""
+    """What can be rendered: something in a box that knows cheaply where it is empty, and what it is
+    elsewhere."""
 
     bbox: mi.BoundingBox3f
 
@@ -30,11 +32,13 @@ class VolumeField(Protocol):
         ...
 
     def locate(self, x: mi.Point3f, active: mi.Bool) -> Located:
-        """Where points lie relative to the field's surface, by a detached search; `valid` where the field is to be evaluated."""
+        """Where points lie relative to the field's surface, by a detached search; `valid` where the field is
+        to be evaluated."""
         ...
 
     def density(self, x: mi.Point3f, located: Located, active: mi.Bool) -> mi.Float:
-        """σ at located points in 1/m, zero in inactive lanes; detached. Only used to find out what is behind opaque parts."""
+        """σ at located points in 1/m, zero in inactive lanes; detached. Only used to find out what is behind
+        opaque parts."""
         ...
 
     def evaluate(self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool) -> FieldSample:
@@ -55,7 +59,8 @@ class Stratified:
 
     Attributes:
         count: strata a ray.
-        near, width: N; where the first stratum begins and how wide each is, in scene units. Both 0 where the field's box is missed.
+        near, width: N; where the first stratum begins and how wide each is, in scene units. Both 0 where the
+            field's box is missed.
         t, delta: N·count; the place of the candidate in each stratum, and the stratum's width.
         sample: the field where it was evaluated, K lanes with the padding; attached to the rays.
         weight: K; how many samples each of these stands for.
@@ -101,11 +106,14 @@ def sample_rays(
     Args:
         ray: N rays, directions of unit length, that end at `maxt`.
         samples: candidates a ray, times the field's `sample_factor`.
-        jitter: N numbers in [0, 1) a stratum, a ray's adjacent: where in its stratum the candidate lies; None for the middles.
-        window: the first sample and the number of samples to take, for the part of the ray that their strata cover; None for all.
+        jitter: N numbers in [0, 1) a stratum, a ray's adjacent: where in its stratum the candidate lies; None
+            for the middles.
+        window: the first sample and the number of samples to take, for the part of the ray that their strata
+            cover; None for all.
         active: N; the others count as missing the box.
-        min_transmittance: samples whose transmittance is below this are skipped. Their transmittance follows from the densities alone,
-            evaluated once more for it, which pays where an evaluation costs much more. 0 skips none.
+        min_transmittance: samples whose transmittance is below this are skipped. Their transmittance follows
+            from the densities alone, evaluated once more for it, which pays where an evaluation costs much
+            more. 0 skips none.
     """
     first, count = window or (0, samples)
     first, count, samples = (n * volume.sample_factor for n in (first, count, samples))
@@ -146,7 +154,8 @@ def sample_rays(
 
 
 def _thinned(index: mi.UInt32, located: Located, keep: mi.Bool) -> tuple[mi.UInt32, Located, mi.Bool, int]:
-    """The lanes to keep, padded as by :func:`compact`: their strata, where they lie, which are real and how many these are."""
+    """The lanes to keep, padded as by :func:`compact`: their strata, where they lie, which are real and how
+    many these are."""
     lane, real, count = compact(keep)
     index, located = dr.gather(mi.UInt32, index, lane), dr.gather(Located, located, lane)
     dr.eval(index, located, real)
@@ -154,7 +163,8 @@ def _thinned(index: mi.UInt32, located: Located, keep: mi.Bool) -> tuple[mi.UInt
 
 
 def scatter(value: mi.Float, index: mi.UInt32, active: mi.Bool, width: int) -> mi.Float:
-    """`width` lanes with the active lanes of `value` at their indices, each index once, and zero elsewhere."""
+    """`width` lanes with the active lanes of `value` at their indices, each index once, and zero
+    elsewhere."""
     target = dr.zeros(mi.Float, width)
     dr.scatter(target, value, index, active, mode=dr.ReduceMode.Permute)
     return target

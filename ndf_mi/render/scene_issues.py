@@ -1,4 +1,5 @@
-"""Checks a scene that holds `ndf` media for mistakes that Mitsuba's own integrators render wrongly without a warning."""
+"""Checks a scene that holds `ndf` media for mistakes that Mitsuba's own integrators render wrongly without a
+warning."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ BLIND = (
 """Integrators that know surfaces only: to them a shell, which has no surface of its own, does not exist."""
 
 OWN = ("NDFPath", "NDFQuadrature")
-"""The package's integrators. To them the performer is where the band is, whatever encloses it, and they refuse what they cannot
-show."""
+"""The package's integrators. To them the performer is where the band is, whatever encloses it, and they
+refuse what they cannot show."""
 
 OPEN = ("Rectangle", "Disk", "Cylinder", "BSplineCurve", "LinearCurve")
 """Shapes that enclose nothing."""
@@ -43,13 +44,16 @@ def scene_issues(scene: mi.Scene) -> list[str]:
 
     - a shape without a surface and without a medium, such as an `ndf_shell` that was given a run alone;
     - an integrator that ignores media, by itself or within another (`aov`, `moment`);
-    - a run whose colours hold the light of its capture, under an integrator that adds the scene's lights to it;
-    - a shape around an `ndf` medium that is not closed, faces inward, shows a surface of its own, or leaves out part of the band;
+    - a run whose colours hold the light of its capture, under an integrator that adds the scene's lights to
+      it;
+    - a shape around an `ndf` medium that is not closed, faces inward, shows a surface of its own, or leaves
+      out part of the band;
     - shapes around two performers that meet;
-    - a sensor inside such a shape that names no medium, or is used by `prbvolpath`, which begins outside of media.
+    - a sensor inside such a shape that names no medium, or is used by `prbvolpath`, which begins outside of
+      media.
 
-    Under the package's own integrators only the first is an issue: they do not track media by surfaces, and warn of albedos
-    themselves.
+    Under the package's own integrators only the first is an issue: they do not track media by surfaces, and
+    warn of albedos themselves.
 
     Args:
         scene: as loaded.
@@ -99,10 +103,11 @@ def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
 
 
 def contains(scene: mi.Scene, shape: mi.Shape, points: np.ndarray) -> np.ndarray:
-    """Whether points (N, 3) are inside a shape of a scene: whether its first surface along a line, past all others, faces away.
+    """Whether points (N, 3) are inside a shape of a scene: whether its first surface along a line, past all
+    others, faces away.
 
-    Points that seem outside are tested again along another line: where two shapes' surfaces cross, a ray that passes one may
-    miss the other.
+    Points that seem outside are tested again along another line: where two shapes' surfaces cross, a ray that
+    passes one may miss the other.
     """
     inside = np.zeros(len(points), dtype=bool)
     for direction in DIRECTIONS:

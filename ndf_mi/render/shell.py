@@ -1,7 +1,9 @@
-"""Closed meshes around the band of a posed body, so that ray tracing skips the empty space around it and inside it.
+"""Closed meshes around the band of a posed body, so that ray tracing skips the empty space around it and
+inside it.
 
-Regions are sets of a grid's cells. A mesh is cut by marching cubes from a function on the grid's nodes that is negative at all eight
-corners of every cell of the region: marching cubes leaves such cells whole inside, so that the mesh contains the region by construction.
+Regions are sets of a grid's cells. Marching cubes cuts a mesh from a function on the grid's nodes that is
+negative at all eight corners of every cell of the region. It leaves such cells entirely inside, so that the
+mesh contains the region by construction.
 """
 
 from __future__ import annotations
@@ -17,17 +19,18 @@ from ndf_mi.errors import InputError
 from ndf_mi.projection import PosedSurface, Surface
 
 PARTS = 2
-"""Samples of the distance along each side of a cell; the band is told from them in cubes of a cell's side over this."""
+"""Samples of the distance along each side of a cell. Each sample decides whether its cube, a part of the
+cell, touches the band."""
 
 CHUNK = 1 << 20
-"""Samples whose distances are looked for at once."""
+"""Samples whose distances are computed at once."""
 
 LARGEST = 1 << 28
-"""Samples of the distance at most: a gigabyte of them, and some more to work with."""
+"""Largest number of distance samples: a gigabyte of them, plus working memory."""
 
 LEAST = 0.2
-"""Least absolute value at a node of the function that a mesh is cut from, whose largest is 1: with it, a mesh keeps at least
-LEAST / (1 + LEAST) of an edge's length away from every node."""
+"""Smallest absolute value at a node of the function that a mesh is cut from; the largest is 1. A mesh thus
+stays at least LEAST / (1 + LEAST) of an edge's length away from every node."""
 
 
 @dataclass(frozen=True)
@@ -46,20 +49,21 @@ class Grid:
 
     @classmethod
     def around(cls, low: np.ndarray, high: np.ndarray, cell: float) -> Grid:
-        """Cells that cover a box, its corners (3,) in metres, and one more on every side."""
+        """Cells that cover a box, given by its corners (3,) in metres, and one more cell on every side."""
         low = np.asarray(low, np.float64) - cell
         nx, ny, nz = (int(n) for n in np.ceil((np.asarray(high, np.float64) + cell - low) / cell))
         return cls(low, cell, (nx, ny, nz))
 
     def index(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The cells of points (N, 3) as three arrays of integers; points outside count to the cell of the border next to them."""
+        """The cells of points (N, 3) as three arrays of integers; a point outside belongs to the nearest cell
+        of the border."""
         at = np.floor((points - self.low) / self.cell).astype(np.int64)
         return tuple(np.clip(at[:, k], 0, self.shape[k] - 1) for k in range(3))
 
 
 @dataclass(frozen=True)
-class Lattice:
-    """Signed distances at the middles of the :data:`PARTS`³ parts of every cell.
+class Distances:
+    """Signed distances at the centres of the :data:`PARTS`³ parts of every cell.
 
     Attributes:
         grid: the cells.
@@ -73,15 +77,17 @@ class Lattice:
 
     def points(self, places: np.ndarray) -> np.ndarray:
         """(N, 3) float32 positions of flat indices."""
-        x = _middle(mi.UInt32(places), self.distance.shape, mi.Point3f(*(float(v) for v in self.grid.low)), self.grid.cell / PARTS)
+        low = mi.Point3f(*(float(v) for v in self.grid.low))
+        x = _centre(mi.UInt32(places), self.distance.shape, low, self.grid.cell / PARTS)
         return np.ascontiguousarray(x.numpy().T)
 
     def band_cells(self, band: float, inside: float) -> np.ndarray:
         """The cells that the band −`inside` <= l <= `band` can touch, (nx, ny, nz) bool.
 
-        |l| changes by no more than the way between two points. A part of a cell, whose corners are r away from its middle, therefore
-        holds no point of the band if |l| > `band` + r there; nor if l < −(`inside` + r), provided that l keeps its sign in it. The sign
-        changes at that depth only where the body runs into itself: a part next to one outside the body is not taken as inside.
+        |l| changes by at most the distance between two points. A part of a cell, whose corners are r away from its centre,
+        therefore holds no point of the band if |l| > `band` + r there; nor if l < −(`inside` + r), provided that l keeps its
+        sign in it. At that depth the sign changes only where the body intersects itself, so a part next to one outside the body
+        does not count as inside.
         """
         r = 0.5 * math.sqrt(3.0) * self.grid.cell / PARTS
         l = self.distance
@@ -90,7 +96,8 @@ class Lattice:
         return reduce_parts((np.abs(l) <= band + r) & ~deep, np.logical_or)
 
     def at_nodes(self, band: float, inside: float) -> np.ndarray:
-        """About how far the grid's nodes are outside the band, (nx + 1, ny + 1, nz + 1) float32 metres, negative inside."""
+        """About how far the grid's nodes are outside the band, (nx + 1, ny + 1, nz + 1) float32 metres,
+        negative inside."""
         outside = np.maximum(np.minimum(self.distance, 2 * band) - band, -self.distance - inside)
         outside = np.where(np.isfinite(self.distance), outside, band)
         padded = np.pad(outside, 1, mode="edge")
@@ -102,25 +109,22 @@ class Lattice:
         return total / 8
 
 
-def lattice(surface: Surface, vertices: mi.Float, band: float, cell: float, grid: Grid | None = None) -> Lattice:
-    """Looks for the closest points of the body around its band.
+def distances(surface: Surface, vertices: mi.Float, band: float, cell: float) -> Distances:
+    """Samples the distance from a posed body on a grid around its band.
 
     Args:
         surface: the body's triangles.
         vertices: flat (3·V) posed positions in metres.
         band: the band's half width in metres.
         cell: the grid's spacing in metres.
-        grid: a grid made before, to look on again; `cell` is then the grid's.
 
     Raises:
-        InputError: the cells are too small for the body, which would take gigabytes.
+        InputError: the cells are so small that the body would take gigabytes.
     """
-    cell = cell if grid is None else grid.cell
     reach = band + math.sqrt(3.0) * cell / PARTS
     with dr.suspend_grad():
         posed = PosedSurface(surface, dr.detach(vertices), reach)
-        if grid is None:
-            grid = Grid.around(posed.bbox.min.numpy().ravel(), posed.bbox.max.numpy().ravel(), cell)
+        grid = Grid.around(posed.bbox.min.numpy().ravel(), posed.bbox.max.numpy().ravel(), cell)
         shape = tuple(PARTS * n for n in grid.shape)
         if math.prod(shape) > LARGEST:
             least = cell * (math.prod(shape) / LARGEST) ** (1 / 3)
@@ -131,32 +135,32 @@ def lattice(surface: Surface, vertices: mi.Float, band: float, cell: float, grid
         low, step = mi.Point3f(*(float(v) for v in grid.low)), cell / PARTS
         for start in range(0, distance.size, CHUNK):
             index = dr.arange(mi.UInt32, min(CHUNK, distance.size - start)) + dr.opaque(mi.UInt32, start)
-            index = dr.gather(mi.UInt32, index, dr.compress(posed.may_contain(_middle(index, shape, low, step))))
+            index = dr.gather(mi.UInt32, index, dr.compress(posed.may_contain(_centre(index, shape, low, step))))
             if not len(index):
                 continue
-            x = _middle(index, shape, low, step)
+            x = _centre(index, shape, low, step)
             found = posed.project(x)
             dr.eval(found.l, found.valid)
             some = found.valid.numpy()
             where = index.numpy()[some]
             distance.reshape(-1)[where] = found.l.numpy()[some]
             places.append(where)
-    return Lattice(grid, distance, np.concatenate(places))
+    return Distances(grid, distance, np.concatenate(places))
 
 
 def reduce_parts(array: np.ndarray, combine: np.ufunc) -> np.ndarray:
-    """An array over the parts of cells combined, by a ufunc of two arguments, into one over cells."""
-    for axis in range(3):
-        rows = np.moveaxis(array, axis, 0)
-        result = rows[0::PARTS]
-        for part in range(1, PARTS):
-            result = combine(result, rows[part::PARTS])
-        array = np.moveaxis(result, 0, axis)
-    return np.ascontiguousarray(array)
+    """Combines the parts of each cell, (PARTS·nx, PARTS·ny, PARTS·nz), by a ufunc of two arguments into (nx,
+    ny, nz)."""
+    nx, ny, nz = (n // PARTS for n in array.shape)
+    parts = array.reshape(nx, PARTS, ny, PARTS, nz, PARTS)
+    for axis in (5, 3, 1):
+        parts = combine.reduce(parts, axis)
+    return parts
 
 
 def corners_of(cells: np.ndarray) -> np.ndarray:
-    """The largest value of the up to eight cells around each node: (nx + 1, ny + 1, nz + 1), of what (nx, ny, nz) is; values from 0 on."""
+    """The largest value among the up to eight cells around each node: from (nx, ny, nz) to (nx + 1, ny + 1,
+    nz + 1); values >= 0."""
     array = np.pad(cells, 1)
     for axis in range(3):
         rows = np.moveaxis(array, axis, 0)
@@ -165,22 +169,24 @@ def corners_of(cells: np.ndarray) -> np.ndarray:
 
 
 def spread(cells: np.ndarray) -> np.ndarray:
-    """The largest value of each entry and its up to 26 neighbours; values from 0 on."""
+    """The largest value among each entry and its up to 26 neighbours; values >= 0."""
     return np.ascontiguousarray(corners_of(corners_of(cells))[1:-1, 1:-1, 1:-1])
 
 
 def cut(inside: np.ndarray, smooth: np.ndarray, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """The boundary of the region around a grid's nodes.
+    """The boundary of the region around some of a grid's nodes.
 
     Args:
-        inside: (nx + 1, ny + 1, nz + 1) bool; no node of the grid's border.
-        smooth: of the same shape, about how far a node is from the boundary, in cells, negative inside. It moves the mesh between nodes
-            and decides nothing: where its sign is wrong or it is small, `LEAST` is taken.
+        inside: (nx + 1, ny + 1, nz + 1) bool; false at the grid's border.
+        smooth: of the same shape; approximate distance of each node from the boundary in cells, negative
+            inside. It only shifts the mesh between nodes: where its sign is wrong or it is small, `LEAST`
+            replaces it.
 
     Returns:
-        vertices (N, 3) float32 and faces (M, 3) uint32: closed, normals pointing out. It crosses only cells with corners of both kinds.
+        vertices (N, 3) float32 and faces (M, 3) uint32: closed, normals pointing out. The mesh crosses only
+        cells that have corners of both kinds.
     """
-    from skimage.measure import marching_cubes  # here, since registering the plugins must not import it
+    from skimage.measure import marching_cubes  # Registering the plugins must not import it.
 
     size = np.clip(np.where(inside, -smooth, smooth), LEAST, 1.0)
     value = np.where(inside, -size, size).astype(np.float32)
@@ -192,32 +198,34 @@ def cut(inside: np.ndarray, smooth: np.ndarray, grid: Grid) -> tuple[np.ndarray,
 def band_shell(
     surface: Surface, vertices: mi.Float, band: float, cell: float = 0.0125, inside: float | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The boundary of a region that contains every point of the band of a posed body, −`inside` <= l <= `band`.
+    """The boundary of a region that contains every point of the band of a posed body, −`inside` <= l <=
+    `band`.
 
-    Where the body is thicker than twice `inside`, the boundary has an inner part too, around what lies deeper. Outside the band it
-    keeps within two cells.
+    Where the body is thicker than twice `inside`, the boundary has an inner part too, which leaves out what
+    lies deeper. It extends at most two cells beyond the band.
 
     Args:
         surface: the body's triangles.
         vertices: flat (3·V) posed positions in metres.
         band: how far the band reaches outside, in metres.
         cell: the grid's spacing in metres.
-        inside: how far it reaches into the body, in metres; by default as far as outside.
+        inside: how far it reaches into the body, in metres; `band` by default.
 
     Returns:
         vertices (N, 3) float32 and faces (M, 3) uint32, closed, normals pointing out of the region.
 
     Raises:
-        InputError: as by :func:`lattice`.
+        InputError: as by :func:`distances`.
     """
     inside = band if inside is None else inside
-    sampled = lattice(surface, vertices, band, cell)
+    sampled = distances(surface, vertices, band, cell)
     nodes = corners_of(sampled.band_cells(band, inside))
     return cut(nodes, sampled.at_nodes(band, inside) / cell, sampled.grid)
 
 
 def band_points(surface: Surface, vertices: np.ndarray, band: float, inside: float, count: int, seed: int = 0) -> np.ndarray:
-    """(count, 3) random points off the body along its triangles' normals, −`inside` <= offset <= `band`; nearly all lie in its band.
+    """(count, 3) random points offset from the body along its triangles' normals, −`inside` <= offset <=
+    `band`; nearly all lie in its band.
 
     Args:
         surface: the body's triangles.
@@ -233,8 +241,8 @@ def band_points(surface: Surface, vertices: np.ndarray, band: float, inside: flo
     return (weights[:, None] @ corners)[:, 0] + normal * rng.uniform(-inside, band, (count, 1))
 
 
-def _middle(index: mi.UInt32, shape: tuple[int, ...], low: mi.Point3f, step: float) -> mi.Point3f:
-    """Positions of a lattice's flat indices, the last axis fastest."""
+def _centre(index: mi.UInt32, shape: tuple[int, ...], low: mi.Point3f, step: float) -> mi.Point3f:
+    """Centres of the cubes with these flat indices, the last axis fastest."""
     ny, nz = (dr.opaque(mi.UInt32, n) for n in shape[1:])
     row = index // nz
     at = mi.Point3f(mi.Float(row // ny), mi.Float(row % ny), mi.Float(index - row * nz))

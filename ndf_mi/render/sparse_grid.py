@@ -1,7 +1,9 @@
-"""A field sampled on a grid that exists only where the field does: blocks of nodes, looked up instead of running networks.
+"""A field sampled on a grid that exists only where the field does: blocks of nodes, looked up instead of
+running networks.
 
-At every collision along a path, null or real, a field searches the closest point and runs its networks. Where neither the pose nor
-the parameters change, a fine enough grid gives the same answer in a fraction of the time.
+At every collision along a path, null or real, a field searches the closest point and runs its networks. Where
+neither the pose nor the parameters change, a fine enough grid gives the same answer in a fraction of the
+time.
 """
 
 from __future__ import annotations
@@ -19,10 +21,12 @@ from ndf_mi.render.bake import sample_nodes
 from ndf_mi.render.ray_samples import VolumeField
 
 SIDE = 8
-"""Cells of a block along each axis. It has one more node than cells; the nodes on its border are its neighbours' too."""
+"""Cells of a block along each axis. It has one more node than cells; the nodes on its border are its
+neighbours' too."""
 
 LEAST = 1e-3
-"""Blocks whose density is below this everywhere, in 1/m, are left out: a metre of them absorbs a thousandth of the light."""
+"""Blocks whose density is below this everywhere, in 1/m, are left out: a metre of them absorbs a thousandth
+of the light."""
 
 LARGEST = 1 << 28
 """Numbers that a grid may hold: a GiB of them."""
@@ -36,7 +40,8 @@ _FLOOR = 0.05
 
 
 class SparseGrid:
-    """σ_t and σ_s of a field, linear along each axis between the nodes of a grid; zero where there are no blocks. Detached.
+    """σ_t and σ_s of a field, linear along each axis between the nodes of a grid; zero where there are no
+    blocks. Detached.
 
     A `VolumeField`, and like the field itself what a medium and its majorants are computed from.
 

@@ -12,7 +12,7 @@ from ridge_field import make_ridge
 from ndf_mi.render.majorant import FLOOR, MARGIN, Bounds, bounds, densities, exceeding, random_points, transmittances
 from ndf_mi.render.majorant_levels import CANDIDATES, choose_levels, expected_cost
 from ndf_mi.render.nested import Majorants, corner_ranks, cut_layers, layer_majorants, ranks
-from ndf_mi.render.shell import Grid, lattice, spread
+from ndf_mi.render.shell import Grid, distances, spread
 
 RADIUS = 0.3
 CELL = 0.02
@@ -46,7 +46,7 @@ def test_densities_are_the_fields(ridge):
 def test_estimates_are_above_the_density(ridge):
     run, density = ridge
     preset = run.model.field.preset
-    estimate = bounds(run.posed(0), preset, lattice(run.model.surface, flat(run), preset.band, CELL))
+    estimate = bounds(run.posed(0), preset, distances(run.model.surface, flat(run), preset.band, CELL))
     points = random_points(estimate.grid, np.ones(estimate.grid.shape, bool), 20000, 1)
     sigma = exact(run, density, points)
     cells = estimate.grid.index(points)
@@ -62,7 +62,7 @@ def test_estimates_are_above_the_density(ridge):
 def test_a_margin_beyond_the_limit_is_cut_to_it(ridge):
     run, _ = ridge
     preset = run.model.field.preset
-    estimate = bounds(run.posed(0), preset, lattice(run.model.surface, flat(run), preset.band, 0.03), margin=1e6)
+    estimate = bounds(run.posed(0), preset, distances(run.model.surface, flat(run), preset.band, 0.03), margin=1e6)
     assert estimate.upper.max() == np.float32(estimate.limit)
 
 
@@ -144,7 +144,7 @@ def test_ranks_differ_by_one_at_most_and_hold_the_dense_cells():
 def test_shells_are_closed_and_strictly_one_within_the_other(ridge):
     run, density = ridge
     preset = run.model.field.preset
-    sampled = lattice(run.model.surface, flat(run), preset.band, CELL)
+    sampled = distances(run.model.surface, flat(run), preset.band, CELL)
     estimate = bounds(run.posed(0), preset, sampled)
     layers = cut_layers(estimate, sampled, preset.band, preset.band_inside, (2.0, 20.0, 60.0))
     majorants = layers.majorants(estimate)
