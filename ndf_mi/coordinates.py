@@ -1,4 +1,4 @@
-"""What the networks take for a place: by default the projected point (u*, v*, l*), and the alternatives it is measured against."""
+"""The networks' coordinates: by default the projected point (u*, v*, l*), and the alternatives it is compared with."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ndf_mi.projection import aligned
 
 
 class Coordinates(Protocol):
-    """A point of the band as numbers in the unit cube of the preset's `dimension`, attached to the point and to the vertices."""
+    """A point of the band as numbers in a unit cube, as many as the preset's `dimension`; attached to `located` and to the point."""
 
     def __call__(self, x: mi.Point3f, located: Located, active: mi.Bool) -> list[mi.Float]:
         """Coordinates of the points `x`, which lie at `located`; constants in inactive lanes."""
@@ -24,7 +24,7 @@ class Coordinates(Protocol):
 
 
 class Distance:
-    """l as a number in [0, 1]: `signed` from −`band_inside` to `band`, `unsigned` |l| over the band, `none` l = 0 throughout."""
+    """l as a number in [0, 1]: `signed` maps −`band_inside` … `band` to it, `unsigned` |l|, and `none` takes l = 0 everywhere."""
 
     def __init__(self, preset: Preset) -> None:
         self._kind = preset.distance
@@ -39,8 +39,8 @@ class Distance:
         return dr.fma(l, self._scale, self._inside * self._scale)
 
 
-class Texel:
-    """(u*, v*, l*): texture coordinates of the closest point, and the distance from it. The paper's."""
+class TexturePoint:
+    """(u*, v*, l*): texture coordinates of the closest point, and the distance from it, as in the paper."""
 
     def __init__(self, preset: Preset) -> None:
         self._distance = Distance(preset)
@@ -75,7 +75,7 @@ class SurfacePoint:
 
 
 class World:
-    """(x, y, z) itself, scaled by one factor so that the bodies of all poses, grown by the band, lie in the unit cube; clamped to it."""
+    """(x, y, z) itself, scaled by one factor so that all poses' bodies with their bands lie in the unit cube; clamped to it."""
 
     def __init__(self, preset: Preset, poses: Poses) -> None:
         self._low, self._extent = _cube(poses.vertices.reshape(-1, 3), preset.band)
@@ -89,18 +89,18 @@ def coordinates(preset: Preset, body: Body, poses: Poses) -> Coordinates:
     """The coordinates that a preset names.
 
     Args:
-        preset: its `coordinates` and `distance` decide.
-        body: its `template` is the body at rest; without one, the first pose is.
+        preset: `coordinates` and `distance` matter.
+        body: its `template` is the body at rest, or without one the first pose.
         poses: the body in all its poses.
     """
     if preset.coordinates == "surface":
         return SurfacePoint(preset, body.faces, poses.vertices[0] if body.template is None else body.template)
     if preset.coordinates == "world":
         return World(preset, poses)
-    return Texel(preset)
+    return TexturePoint(preset)
 
 
 def _cube(points: np.ndarray, padding: float = 0.0) -> tuple[np.ndarray, float]:
-    """Lower corner (3,) and edge length of a cube around points (N, 3)."""
+    """Lower corner (3,) and edge length of a cube around points (N, 3), in metres."""
     low, high = points.min(0).astype(np.float64) - padding, points.max(0).astype(np.float64) + padding
     return low, max(float((high - low).max()), 1e-12)

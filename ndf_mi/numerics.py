@@ -1,4 +1,4 @@
-"""Elementary functions that Dr.Jit lacks and that keep their relative accuracy near zero, and sums that keep it over many terms."""
+"""Elementary functions that are accurate near zero, and sums that are accurate over many terms; Dr.Jit lacks both."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 SINGLE = 256
-"""Terms up to which sums are taken in single precision: of more, rounding is felt."""
+"""Largest number of terms that are summed in single precision; the rounding of longer sums matters."""
 
 T = TypeVar("T", bound=dr.ArrayBase)
 
@@ -17,7 +17,7 @@ T = TypeVar("T", bound=dr.ArrayBase)
 def expm1(x: T) -> T:
     """eˣ − 1, without cancellation near 0. For x ≤ 80; first derivatives only.
 
-    By series up to ½, where exp itself may be off by a few of its last bits (on GPUs it is an approximation, and so is tanh, by 1e-5).
+    By series up to ½, where the last bits of exp may be wrong: on GPUs it is an approximation, as is tanh, whose error is 1e-5.
     """
     detached = dr.detach(x)
     value = dr.select(dr.abs(detached) < 0.5, detached * _exprel(detached), dr.exp(detached) - 1.0)
@@ -25,15 +25,15 @@ def expm1(x: T) -> T:
 
 
 def saturated(a: T, limit: float) -> T:
-    """limit·(1 − e^(−a/limit)) for a ≥ 0: a itself where it is small, down to the least numbers that there are, and never above `limit`.
-    First derivatives only."""
+    """limit·(1 − e^(−a/limit)) for a ≥ 0: a itself where it is small, down to the smallest floats, and never above `limit`. First
+    derivatives only."""
     x = dr.detach(a) * (1.0 / limit)
     value = dr.select(x < 0.5, dr.detach(a) * _exprel(-x), limit * (1.0 - dr.exp(-x)))
     return dr.replace_grad(value, -limit * dr.exp(a * (-1.0 / limit)))
 
 
 def _exprel(x: T) -> T:
-    """(eˣ − 1) / x up to |x| = ½, by the first terms of its series."""
+    """(eˣ − 1) / x for |x| ≤ ½, by the first terms of its series."""
     value = dr.full(type(x), 1 / math.factorial(9), 1)
     for k in range(8, 0, -1):
         value = dr.fma(value, x, 1 / math.factorial(k))
@@ -41,8 +41,8 @@ def _exprel(x: T) -> T:
 
 
 def log1p(x: T) -> T:
-    """ln(1 + x) for x ≥ 0, accurate near 0: up to 1 by the series of 2·artanh(x / (2 + x)), since the logarithm of a number near 1 is an
-    approximation on GPUs. The derivative is that of ln(1 + x) as it stands, where nothing cancels."""
+    """ln(1 + x) for x ≥ 0, accurate near 0. Up to x = 1 by the series of 2·artanh(x / (2 + x)), as the logarithm of a number near 1
+    is an approximation on GPUs. The derivative is that of ln(1 + x), where nothing cancels."""
     detached = dr.detach(x)
     near = detached < 1.0
     s = dr.select(near, detached, 0.0) / (2.0 + dr.select(near, detached, 0.0))
@@ -64,14 +64,14 @@ def softplus(x: T) -> T:
 
 
 def block_sum(values: mi.Float, count: int) -> mi.Float:
-    """The sum of each `count` adjacent values: a number for each. Differentiable; above :data:`SINGLE` terms in double precision."""
+    """The sum of each `count` adjacent values. Differentiable; in double precision for more than :data:`SINGLE` terms."""
     if count <= SINGLE:
         return dr.block_sum(values, count)
     return mi.Float(dr.block_sum(mi.Float64(values), count))
 
 
 def sum_before(values: mi.Float, count: int) -> mi.Float:
-    """Of each `count` adjacent values, the sum of those before each of them. Differentiable; in double precision as :func:`block_sum`."""
+    """For each value, the sum of those before it in its block of `count`. Differentiable; precision as in :func:`block_sum`."""
     if count <= SINGLE:
         return dr.block_prefix_sum(values, count, exclusive=True)
     return mi.Float(dr.block_prefix_sum(mi.Float64(values), count, exclusive=True))

@@ -1,6 +1,6 @@
-"""A trained field on disk: all that a medium needs to render it, without the capture it was trained on.
+"""A trained field on disk: all that is needed to render it, without its capture.
 
-    RUN/config.json         what it is and how it was made
+    RUN/config.json         preset, options, capture and versions that it was made with
     RUN/field.safetensors   `weights`, and `grid` where the preset has a hash table
     RUN/body.npz poses.npz  the body and its poses, as in a capture
 """
@@ -30,7 +30,7 @@ from ndf_mi.projection import PosedSurface
 FORMAT = "ndf-run"
 VERSION = 1
 QUADRATURE = "ndf_quadrature"
-"""The integrator that fields are trained by where nothing else is said."""
+"""The integrator that fields are trained with by default."""
 _FILES = ("config.json", "body.npz", "poses.npz", "field.safetensors")
 _CACHED_POSES = 128
 _SHARED: WeakValueDictionary[tuple[object, ...], Run] = WeakValueDictionary()
@@ -43,10 +43,10 @@ class Run:
     Attributes:
         path: the folder.
         config: the contents of ``config.json``: `preset` (all options), `background` (3 numbers, sRGB), `capture` (`name`, `digest`),
-            `training` and more, as the trainer wrote them.
+            `training` and more, as training wrote them.
         body, poses: as in the capture.
         model: architecture and coordinates of the field.
-        parameters: of the field.
+        parameters: the field's; training replaces them.
     """
 
     def __init__(self, path: str | os.PathLike[str], config: dict[str, Any], body: Body, poses: Poses, model: Model,
@@ -61,13 +61,13 @@ class Run:
 
     @property
     def background(self) -> np.ndarray:
-        """(3,) float32 sRGB of what lies behind the performer."""
+        """(3,) float32 sRGB, behind the performer."""
         return np.asarray(self.config["background"], dtype=np.float32)
 
     @property
     def scattered(self) -> bool:
-        """Whether it has been trained through scattering, and longer than the steps by quadrature that come first: by what the
-        configuration says, which is complete once a training has ended or was interrupted."""
+        """Whether it was trained through scattering, beyond the steps by quadrature that come first. Read from the configuration, which
+        is complete once training has ended or was interrupted."""
         training = self.config.get("training")
         if not isinstance(training, dict) or training.get("integrator", QUADRATURE) == QUADRATURE:
             return False
@@ -77,14 +77,14 @@ class Run:
 
     @property
     def colours(self) -> Literal["light", "albedo"] | None:
-        """What the field's colours are: the light that was seen in its capture, or albedos; None where nothing says how it was trained."""
+        """What the field's colours are: the light in its capture, or albedos; None where the run does not record its training."""
         if not isinstance(self.config.get("training"), dict):
             return None
         return "albedo" if self.scattered else "light"
 
     @classmethod
     def create(cls, path: str | os.PathLike[str], preset: Preset, body: Body, poses: Poses, seed: int, **config: Any) -> Run:
-        """A fresh run with untrained weights; nothing is written until :meth:`save`."""
+        """A new run with untrained parameters. Nothing is written until :meth:`save`."""
         config = {"format": FORMAT, "version": VERSION, "preset": preset.to_dict(), "seed": seed, **config}
         model = Model(body, poses, preset)
         return cls(path, config, body, poses, model, model.field.initial_parameters(seed))
@@ -94,7 +94,7 @@ class Run:
         """Reads a run.
 
         Raises:
-            InputError: naming the file and key at fault, what was found and what was expected.
+            InputError: a file is missing or does not fit; the message names it and the key.
         """
         path = Path(path)
         config = _read_config(path / "config.json")
@@ -106,9 +106,9 @@ class Run:
 
     @classmethod
     def shared(cls, path: str | os.PathLike[str]) -> Run:
-        """As :meth:`load`, but one run for all who ask for the same folder while one of them holds it and its files stay the same.
+        """As :meth:`load`, but returns the same object for the same folder, as long as it is in use and its files stay the same.
 
-        It must not be changed.
+        Do not change it.
         """
         folder = os.path.realpath(path)
         try:
@@ -122,24 +122,24 @@ class Run:
         return run
 
     def field_tensors(self) -> dict[str, np.ndarray]:
-        """The field's parameters as numpy arrays, by name."""
+        """The field's parameters as numpy arrays by name."""
         return self.parameters.arrays()
 
     def save(self) -> None:
-        """Writes the run; each file whole or not at all, ``config.json`` last."""
-        json.dumps(self.config, allow_nan=False)  # before anything is written
+        """Writes the run, each file completely or not at all, ``config.json`` last."""
+        json.dumps(self.config, allow_nan=False)  # Fails before anything is written.
         self.body.write(self.path / "body.npz")
         self.poses.write(self.path / "poses.npz")
         self.save_field()
         files.write_json(self.path / "config.json", self.config)
 
     def save_field(self) -> None:
-        """Writes the field's parameters alone."""
+        """Writes only the field's parameters."""
         with files.replacing(self.path / "field.safetensors") as beside:
             save_file(self.field_tensors(), beside)
 
     def surface(self, frame: int) -> PosedSurface:
-        """The body at a frame, with its boxes and cells; kept for the frames used last.
+        """The body at a frame, ready for queries; the most recently used frames are kept.
 
         Raises:
             InputError: there is no such frame.
@@ -164,7 +164,7 @@ class Run:
         Args:
             frame: one of the poses'.
             networks: as in :class:`PosedModel`.
-            parameters: in place of the run's own; gradients flow to them.
+            parameters: used instead of the run's own; gradients flow to them.
         """
         return PosedModel(self.model, parameters or self.parameters, self.surface(frame), self.pose_vector(frame), networks=networks)
 
@@ -194,12 +194,12 @@ def _read_config(path: Path) -> dict[str, Any]:
     if config.get("version") != VERSION:
         newer = isinstance(config.get("version"), int) and config["version"] > VERSION
         raise InputError(f"{path}: version", repr(config.get("version")), str(VERSION),
-                         "It was made by a newer ndf-mi: upgrade with `pip install -U ndf-mi`." if newer else "")
+                         "A newer ndf-mi wrote it: upgrade with `pip install -U ndf-mi`." if newer else "")
     for key, kind in (("preset", dict), ("seed", int), ("background", list)):
         if not isinstance(config.get(key), kind):
             raise InputError(f"{path}: {key}", repr(config.get(key)), f"a {kind.__name__}")
     if config["seed"] < 0:
-        raise InputError(f"{path}: seed", str(config["seed"]), "a whole number from 0 on")
+        raise InputError(f"{path}: seed", str(config["seed"]), "a whole number of at least 0")
     if len(config["background"]) != 3 or not all(isinstance(v, (int, float)) and 0 <= v <= 1 for v in config["background"]):
         raise InputError(f"{path}: background", repr(config["background"]), "three numbers in [0, 1]")
     return config

@@ -1,6 +1,7 @@
 """The neural field: encodings, networks, presets. Pure functions of numbers; scenes, files and meshes are unknown here."""
 
-from ndf_mi.field.field import BoundField, Field, FieldParameters
+from ndf_mi.field.field import BoundField, Field
+from ndf_mi.field.parameters import FieldParameters
 from ndf_mi.field.presets import PRESETS, Preset, preset
 
 __all__ = ["PRESETS", "BoundField", "Field", "FieldParameters", "Preset", "preset"]

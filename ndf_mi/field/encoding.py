@@ -17,8 +17,8 @@ def frequency(values: Sequence[mi.Float], octaves: int) -> list[mi.Float]:
     """γ: each value raw, then its sine and cosine at 2⁰ … 2^(octaves−1), without a factor π.
 
     Ordered as the values first, then octave by octave: sines of all values, cosines of all values. Returns
-    ``len(values) · (1 + 2·octaves)`` entries. Sines of each octave are evaluated afresh rather than by the double-angle
-    recurrence, which loses a bit an octave.
+    ``len(values) · (1 + 2·octaves)`` entries. Each octave's sines are computed directly: the double-angle recurrence would lose a
+    bit an octave.
     """
     out = list(values)
     for octave in range(octaves):
@@ -29,14 +29,18 @@ def frequency(values: Sequence[mi.Float], octaves: int) -> list[mi.Float]:
 
 
 def frequency_width(values: int, octaves: int) -> int:
-    """Number of entries that :func:`frequency` returns for so many values."""
+    """Number of entries that :func:`frequency` returns for `values` values."""
     return values * (1 + 2 * octaves)
 
 
 class GridEncoding:
     """A multiresolution hash grid over ũ, coarser along l (Müller et al. 2022, *Instant Neural Graphics Primitives*).
 
-    The table is not kept here but handed to each call, so that it can be a parameter of a medium or of an optimiser.
+    The table is passed to each call, so that it can be a parameter of a medium or of an optimiser.
+
+    Attributes:
+        width: number of features.
+        size: number of the table's entries.
     """
 
     def __init__(self, preset: Preset) -> None:
@@ -53,11 +57,11 @@ class GridEncoding:
         self.size = int(self._encoding.n_params)
 
     def initial(self, rng: np.random.Generator) -> np.ndarray:
-        """A fresh table, uniform in ±1e-4; float32, shape (size,)."""
+        """An untrained table, uniform in ±1e-4; float32, shape (size,)."""
         return rng.uniform(-1e-4, 1e-4, self.size).astype(np.float32)
 
     def __call__(self, table: mi.Float, u: Any, active: mi.Bool | bool = True) -> list[mi.Float]:
-        """Features at ũ (the preset's `dimension` of values in the unit cube, clamped to it); differentiable in the table and in ũ."""
+        """Features at ũ, as many values as the preset's `dimension`, clamped to the unit cube; attached to the table and to ũ."""
         u = [dr.clip(value, 0.0, 1.0) * scale for value, scale in zip(u, self._scale, strict=True)]
         self._encoding.data = table
         try:

@@ -1,4 +1,4 @@
-"""Which layers a preset has, what goes into each, and where its weights lie in the one flat vector."""
+"""The layers of a preset: their inputs, and where their weights lie in one flat vector."""
 
 from __future__ import annotations
 
@@ -12,19 +12,25 @@ from ndf_mi.field.presets import Preset
 
 @dataclass(frozen=True)
 class Layer:
-    """An affine layer. Its inputs are joined in the order given; `pose` stands for the pose features, which do not change
-    from sample to sample and therefore come last, so that their columns can be folded into the bias once a pose."""
+    """An affine layer. The pose features are the same for all samples. They come last among the inputs, so that their columns can
+    be folded into the bias once a pose.
+
+    Attributes:
+        name: see :func:`layout`.
+        inputs: width of the inputs that change with the sample.
+        pose: width of the pose features that are joined, or 0.
+        outputs: width of the output.
+        offset: where the (outputs, inputs + pose) matrix starts in the flat vector, row by row. The bias follows it, and then the
+            products.
+        products: whether the pose features also mix matrices. An (outputs·inputs, pose) matrix holds one matrix a column.
+    """
 
     name: str
     inputs: int
-    """Width of the inputs that change with the sample."""
     pose: int
-    """Width of the pose features that are joined, or 0."""
     outputs: int
     offset: int = 0
-    """Where the (outputs, inputs + pose) matrix starts in the flat vector, row by row; the bias follows it, and then the products."""
     products: bool = False
-    """Whether the pose features also mix matrices, of which an (outputs·inputs, pose) matrix holds one a column."""
 
     @property
     def affine(self) -> int:
@@ -38,7 +44,7 @@ class Layer:
 
 
 def layout(preset: Preset, joints: int) -> dict[str, Layer]:
-    """The layers of a preset for a body of so many joints, by name, in the order of the flat vector.
+    """The layers of a preset for a body with `joints` joints, by name, in the order of the flat vector.
 
     Names: ``pose0…`` (pose features), ``deform0…`` (D), ``density0…`` and ``density_out`` (M_σ), ``linear0…``, ``colour0…``
     and ``colour_out`` (M_c).
@@ -84,7 +90,7 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
 
 
 def initial_weights(layers: dict[str, Layer], rng: np.random.Generator) -> np.ndarray:
-    """Fresh weights, float32: uniform in ±1/√(fan-in) for matrices and biases, D's last layer at a hundredth of that so that
+    """Untrained weights, float32: uniform in ±1/√(fan-in) for matrices and biases. D's last layer has a hundredth of that, so that
     training starts from the undeformed projection. Products with the pose start at zero."""
     parts = []
     for layer in layers.values():

@@ -1,4 +1,4 @@
-"""Where in (u, v, l) a field in training is dense, so that its empty parts need not be evaluated."""
+"""A grid of where in (u, v, l) a field in training is dense, so that its empty parts need not be evaluated."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import mitsuba as mi
 import numpy as np
 
 _UNTIL_EMPTY = 150
-"""Steps after which a cell that no sample has come to counts as empty."""
+"""Steps after which a cell that no sample has reached counts as empty."""
 
 
 class Occupancy:
     """A coarse grid over the unit cube of (u, v, l) with a decaying maximum of the densities seen in each cell, over all poses
-    (after Müller et al. 2022, there over world space).
+    (after Müller et al. 2022, who use world space).
 
-    A share p of the samples in empty cells is kept nevertheless, so that a cell that becomes dense is noticed; each stands for those
-    that are left out, by counting 1/p times its density: optical depths keep their mean, and thin fog still fades.
+    A random share p of the samples in empty cells is kept, so that a cell that becomes dense is noticed. Each of these counts 1/p
+    times, for those that are skipped: optical depths keep their mean, and thin fog still fades.
 
     Args:
         threshold: densities in 1/m below which a cell counts as empty.
         resolution: cells along u, v and l.
-        decay: factor on all cells a step.
+        decay: factor on all cells at each step.
         explore: share of the samples in empty cells that are kept.
     """
 
@@ -31,7 +31,7 @@ class Occupancy:
         self._decay = decay
         self.explore = explore
         self._salt = 0
-        # Everything starts occupied, and stays so for the first steps even where no sample comes.
+        # All cells start occupied, and stay so for the first steps even without samples.
         self.values = dr.full(mi.Float, threshold / decay**_UNTIL_EMPTY, int(np.prod(resolution)))
         dr.make_opaque(self.values)
 
@@ -40,12 +40,12 @@ class Occupancy:
         each then stands for: 1 in occupied cells, 1 / `explore` in the others."""
         with dr.suspend_grad():
             occupied = dr.gather(mi.Float, self.values, self._cell(u)) > self._threshold
-            # Four rounds, the default, keep 3 % too many over neighbouring numbers.
+            # The default of four rounds keeps 3 % too many of neighbouring numbers.
             chance = mi.sample_tea_float32(dr.arange(mi.UInt32, dr.width(u)), dr.opaque(mi.UInt32, self._salt), 8)
             return occupied | (chance < self.explore), dr.select(occupied, mi.Float(1.0), 1.0 / self.explore)
 
     def observe(self, u: mi.Point3f, sigma: mi.Float, active: mi.Bool) -> None:
-        """Takes in the densities of a step's samples."""
+        """Updates the grid with the densities of a step's samples."""
         with dr.suspend_grad():
             values = self.values * self._decay
             dr.scatter_reduce(dr.ReduceOp.Max, values, dr.detach(sigma), self._cell(dr.detach(u)), active)
@@ -55,11 +55,11 @@ class Occupancy:
 
     @property
     def share(self) -> float:
-        """Share of the cells that count as occupied."""
+        """Share of the cells that are occupied."""
         return float(dr.mean(dr.select(self.values > self._threshold, mi.Float(1), mi.Float(0)))[0])
 
     def restore(self, values: np.ndarray, step: int) -> None:
-        """Sets the cells' values and the number of steps seen; ValueError if there are not as many values as cells."""
+        """Sets the cells' values and the number of steps observed; ValueError unless there are as many values as cells."""
         if values.shape != (int(np.prod(self._resolution)),):
             raise ValueError(f"{values.shape} occupancy values")
         self.values = mi.Float(values.astype(np.float32))

@@ -1,4 +1,4 @@
-"""The networks' shapes as data: `paper` is the published architecture, `fast` what we would choose today, `tiny` for tests."""
+"""The networks' architectures as data: `paper` as published, `fast` as we would choose it today, `tiny` for tests."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ndf_mi.options import read_options
 
 @dataclass(frozen=True)
 class Preset:
-    """Everything that decides a field's architecture. Every entry is an option of ``ndf-mi optimise``.
+    """A field's architecture. Every entry is an option of ``ndf-mi optimise``.
 
-    Symbols follow the paper: u* is the projected point (u, v, l), or what `coordinates` puts in its place, in the unit cube;
-    ũ = u* + `deformation_scale`·D(u*, θ), and γ the frequency encoding.
+    Symbols follow the paper: u* is the projected point (u, v, l), or the alternative that `coordinates` names, in the unit cube;
+    ũ = u* + `deformation_scale`·D(u*, θ); γ is the frequency encoding.
     """
 
     name: str = "fast"
@@ -24,18 +24,19 @@ class Preset:
     """Half width δ_N of the band around the body, in metres."""
 
     band_inside: float = 0.03
-    """How far the band reaches into the body, in metres: at most `band`. What is seen lies outside the skin but for errors of the fit."""
+    """How far the band reaches into the body, in metres; at most `band`. Visible surfaces lie outside the skin, up to errors of the
+    fit."""
 
     band_fade: float = 0.1
-    """Fraction of the band at both its edges over which the density fades smoothly to nothing, so that the field is continuous there;
-    0 for the paper's hard edge."""
+    """Fraction of the band, at both its edges, over which the density fades smoothly to zero, so that the field is continuous; 0 for
+    the paper's hard edge."""
 
     coordinates: Literal["texel", "surface", "world"] = "texel"
-    """What the networks take for a place: the closest point's texel (u, v) and l; the closest point on the body at rest (x, y, z) and
-    l, which has no seams; or the point itself, (x, y, z), without projection."""
+    """The networks' coordinates: `texel`, texture coordinates (u, v) of the closest point, and l; `surface`, the closest point on the
+    body at rest (x, y, z), which has no seams, and l; or `world`, the point itself (x, y, z), without projection."""
 
     distance: Literal["signed", "unsigned", "none"] = "signed"
-    """How l enters the networks (not with `world`): with its sign, without it, or not at all, as 0."""
+    """How l enters the networks (not with `world`): with its sign, without it, or not at all."""
 
     sample_factor: int = 1
     """Factor on the candidate samples a ray: samples farther apart than the band is thick would miss it."""
@@ -44,9 +45,9 @@ class Preset:
     """Widths of the pose network; the last is the number of pose features. Empty: nothing depends on the pose."""
 
     pose_products: bool = False
-    """Whether the pose features f(θ) also mix matrices: where they join a layer, its W becomes W + Σ_k f_k(θ)·W_k, once a pose, so
-    that samples cost nothing more. Then what follows the pose is a sum of fields that the grid holds, each as fine as the grid, with
-    weights that the pose sets; where features are only joined to the inputs, as in the paper, they shift what is there."""
+    """Whether the pose features f(θ) also mix matrices: where they join a layer, its matrix W becomes W + Σ_k f_k(θ)·W_k, once a
+    pose, at no cost a sample. The field then is a sum of fields, each as fine as the grid, with weights that depend on the pose.
+    Features that are only joined to the inputs, as in the paper, shift one field."""
 
     deformation_layers: tuple[int, ...] = (32,)
     """Hidden widths of the deformation net D."""
@@ -70,7 +71,7 @@ class Preset:
     """Features at a cell's corner, an even number (`grid` only)."""
 
     grid_entries: int = 2**16
-    """Corners of cells that the hash table has room for a level at most; each takes `grid_features` numbers (`grid` only)."""
+    """Largest number of cell corners a level that the hash table holds, with `grid_features` numbers each (`grid` only)."""
 
     grid_base: int = 16
     grid_finest: int = 512
@@ -86,7 +87,7 @@ class Preset:
     """After this many layers γ(ũ) and the pose features are joined again; 0 for never."""
 
     feature_width: int = 16
-    """Width of the features that the density network hands to the colour network; 0: its last hidden layer as it is."""
+    """Width of the features that the density network passes to the colour network; 0 passes its last hidden layer unchanged."""
 
     colour_linear: tuple[int, ...] = ()
     """Linear layers between the density network and the view direction; the pose joins at the second."""
@@ -95,28 +96,28 @@ class Preset:
     """Hidden widths of the colour network M_c after the view direction has joined."""
 
     direction_octaves: int = 2
-    """Octaves of γ on the view direction; −1 leaves it out: a part of the surface then has the same colour from everywhere."""
+    """Octaves of γ on the view direction; −1 leaves it out, so that colours are the same from all directions."""
 
     direction: Literal["view", "mirrored"] = "view"
-    """What enters in its place: the view direction as in the paper, or its reflection by the body's normal, along which highlights stay
-    where they are while the viewer and the body turn (Verbin et al. 2022, *Ref-NeRF*)."""
+    """The direction that enters: the view direction as in the paper, or its reflection by the body's normal, along which highlights
+    stay fixed as the viewer and the body turn (Verbin et al. 2022, *Ref-NeRF*)."""
 
     normal_octaves: int = -1
-    """Octaves of γ on the world-space normal of the body's surface, which then enters the colour network beside the view direction, so
-    that light which stays in the world while the performer turns need not be learnt from poses; −1 leaves it out."""
+    """Octaves of γ on the world-space normal of the body's surface, which enters the colour network with the view direction, so that
+    lighting that is fixed in the world need not be learnt from poses; −1 leaves it out."""
 
     density_activation: Literal["relu", "softplus"] = "softplus"
     """Shape of the density's activation below saturation."""
 
     density_limit: float = 500.0
-    """The least upper bound of the density in 1/m: σ = limit·(1 − exp(−a/limit)), a the activation. It is what makes a
-    majorant known by construction; far below it σ equals a."""
+    """Least upper bound of the density in 1/m: σ = limit·(1 − exp(−a/limit)), where a is the activation; far below the limit, σ
+    equals a. It gives a majorant by construction."""
 
     density_gain: float = 100.0
     """Factor from the network's output to the activation in 1/m."""
 
     density_bias: float = -4.0
-    """Added to the network's output before the activation (`softplus` only); it sets how thin the field starts."""
+    """Added to the network's output before the activation (`softplus` only); it decides how thin the field starts."""
 
     def __post_init__(self) -> None:
         def check(good: bool, key: str, expected: str) -> None:
@@ -137,7 +138,7 @@ class Preset:
             check(all(type(w) is int and w > 0 for w in widths) and bool(widths or not needed), key, "a list of widths above 0")
         check(self.coordinates in ("texel", "surface", "world"), "coordinates", "texel, surface or world")
         check(self.distance in ("signed", "unsigned", "none"), "distance", "signed, unsigned or none")
-        check(self.sample_factor >= 1, "sample_factor", "a whole number from 1 on")
+        check(self.sample_factor >= 1, "sample_factor", "a whole number above 0")
         check(len(self.colour_linear) != 1, "colour_linear", "no layers, or at least two: the pose joins at the second")
         for key in ("normal_octaves", "direction_octaves"):
             check(-1 <= getattr(self, key) <= 1024, key, "-1, or a whole number up to 1024")
@@ -150,17 +151,17 @@ class Preset:
         check(2 <= self.grid_levels <= 32, "grid_levels", "a whole number from 2 to 32")
         check(self.grid_features in (2, 4, 8), "grid_features", "2, 4 or 8")
         check(self.grid_entries > 0 and self.grid_entries % self.grid_features == 0, "grid_entries", "a multiple of grid_features")
-        check(self.grid_base >= 2, "grid_base", "a whole number from 2 on")
+        check(self.grid_base >= 2, "grid_base", "a whole number above 1")
         check(self.grid_finest > self.grid_base, "grid_finest", f"a whole number above grid_base, {self.grid_base}")
 
     @property
     def dimension(self) -> int:
-        """Number of the coordinates that the networks take: 3, or 4 for a point of the surface and l."""
+        """Number of coordinates: 3, or 4 for a point of the surface and l."""
         return 4 if self.coordinates == "surface" else 3
 
     def to_dict(self) -> dict[str, Any]:
-        """The options as JSON-ready values; those that were added later only where they are not what was before, so that files and digests
-        of older presets stay theirs."""
+        """The options as JSON values. Options that older files lack are left out at their defaults, so that digests of older presets
+        stay the same."""
         values = {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(self).items()}
         return {k: v for k, v in values.items() if k not in _LATER or v != _LATER[k]}
 
@@ -170,7 +171,7 @@ class Preset:
         return read_options(PRESETS["fast"], rename_entries(values, PRESET_FIELDS), where)
 
 
-#: Options that older files lack, with what was before there was a choice: their defaults.
+#: Options that older files lack, and their defaults.
 _LATER: dict[str, Any] = {"direction": "view", "pose_products": False}
 
 PRESETS: dict[str, Preset] = {
@@ -190,7 +191,7 @@ PRESETS: dict[str, Preset] = {
 
 
 def preset(name: str) -> Preset:
-    """The preset of that name. Raises InputError naming those there are."""
+    """The preset of this name. Raises InputError, listing the names, for another."""
     if name not in PRESETS:
         raise InputError("preset", repr(name), "one of " + ", ".join(PRESETS))
     return PRESETS[name]

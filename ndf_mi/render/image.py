@@ -1,10 +1,10 @@
 """Whole images by quadrature: the pixels whose rays meet the band's box, tile by tile, front to back.
 
-Rays are looked at in rounds, each a part of their samples. What is opaque after a round is left out of those behind:
+Rays are marched in rounds, each of which takes a part of their samples. Rays that are opaque after a round end there:
 
     L = Σ_k T_k L_k,    T_{k+1} = T_k (1 − opacity_k)
 
-with L_k and opacity_k from round k alone. A ray that is left out at T ≤ `cutoff` would have gained at most T in any channel.
+with L_k and opacity_k from round k alone. A ray that ends at T ≤ `cutoff` would have gained at most T in any channel.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from ndf_mi.render.ray_samples import VolumeField
 from ndf_mi.render.sampling import QUANTUM, box_interval, rounded
 
 LANES = 1 << 19
-"""Candidate samples looked at at once. Every tile of an image has as many rays as make this number, or as there are, so that one set of
-kernels serves all."""
+"""Candidate samples taken at once. Every tile of an image has as many rays as make this number, or all of them, so that one set of
+kernels serves all tiles."""
 
 RECIPE = 2
-"""Raised whenever the same field at the same settings gives other pictures than before."""
+"""Version of the renderer; it rises whenever the same field and settings give a different image."""
 
 
 class RaySource(Protocol):
@@ -44,13 +44,15 @@ class RaySource(Protocol):
 
 @dataclass
 class Work:
-    """What an image took, in numbers that depend on no machine.
+    """The work for an image, in numbers that do not depend on the machine.
 
     Attributes:
-        rays: that met the field's box, over all rays of a pixel.
-        tiles: launches, and `lanes` in all of them, padding included.
-        candidates: samples looked at.
-        evaluated: samples that reached the networks, and `launched` the lanes that went through them, padding included.
+        rays: rays that met the field's box.
+        tiles: launches.
+        lanes: candidate lanes in all launches, padding included.
+        candidates: candidate samples.
+        evaluated: samples that reached the networks.
+        launched: lanes that went through the networks, padding included.
     """
 
     rays: int = 0
@@ -63,8 +65,14 @@ class Work:
 
 @dataclass
 class Image:
-    """An image of a field, numpy. `linear` (h, w, 3) premultiplied linear colour; `opacity` and `depth` (h, w); `u` (h, w, 3) the
-    expected (u, v, l) and `normal` (h, w, 3), zero where nothing is seen, or None where not asked for; `work` what it took."""
+    """An image of a field, in numpy.
+
+    Attributes:
+        linear: (h, w, 3) premultiplied linear colour.
+        opacity, depth: (h, w); depth in metres along the ray.
+        u, normal: (h, w, 3) expected (u, v, l) and normal, zero where nothing is seen; None unless asked for.
+        work: what it cost.
+    """
 
     linear: np.ndarray
     opacity: np.ndarray
@@ -74,25 +82,25 @@ class Image:
     work: Work
 
     def over(self, background: np.ndarray) -> np.ndarray:
-        """(h, w, 3) float32 sRGB in [0, 1], composited in linear over an sRGB background (3,)."""
+        """(h, w, 3) float32 sRGB in [0, 1], composited in linear light over an sRGB background (3,)."""
         behind = srgb_to_linear(np.asarray(background, dtype=np.float32))
         return np.clip(linear_to_srgb(self.linear + (1.0 - self.opacity[..., None]) * behind), 0.0, 1.0).astype(np.float32)
 
 
 @dataclass
 class ImageRenderer:
-    """Renders images of fields at a fixed number of samples a ray."""
+    """Renders images of fields with a fixed number of samples a ray."""
 
     samples: int = 128
     spp: int = 1
-    """Rays a pixel: 1 goes through the centre; more are spread over the pixel by a low-discrepancy sequence and averaged."""
+    """Rays a pixel. One goes through the centre; more follow a low-discrepancy sequence over the pixel and are averaged."""
     rounds: int = 4
-    """Rounds at most: as many as divide `samples`."""
+    """Largest number of rounds; as many as divide `samples` are used."""
     cutoff: float = 1e-4
-    """Early termination: transmittance up to which a ray goes on to the next round; 0 follows every ray to its end."""
+    """Early termination: a ray goes on to the next round if its transmittance is above this; 0 follows every ray to its end."""
     stratified: bool = False
-    """Shift each ray's samples by a random part of their distance instead of taking strata's middles: noise in place of bands. The
-    shift depends on the pixel alone."""
+    """Shift each ray's samples by a random fraction of their spacing, which depends on the pixel alone, instead of taking the centres
+    of strata: noise instead of banding."""
 
     def __post_init__(self) -> None:
         for key in ("samples", "spp", "rounds"):
@@ -102,10 +110,10 @@ class ImageRenderer:
             raise InputError("cutoff", f"{self.cutoff:g}", "a transmittance in [0, 1)")
 
     def __call__(self, volume: VolumeField, camera: RaySource, geometry: bool = False) -> Image:
-        """Renders `volume` as `camera` sees it; the same every time.
+        """Renders `volume` as `camera` sees it. Deterministic.
 
         Raises:
-            InputError: a ray has seen something that is not finite.
+            InputError: a ray's result is not finite.
         """
         pixels = self._pixels(volume, camera)
         out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
@@ -113,7 +121,7 @@ class ImageRenderer:
         with dr.suspend_grad():
             for number in range(self.spp):
                 out += self._rounds(volume, camera, pixels, number, geometry, work) / self.spp
-        # What is only there where something is seen is a mean over that, not over the pixel.
+        # Depth and geometry are means over what is seen, not over the pixel.
         out[4:] /= np.maximum(out[3], 1e-6)
         image = np.moveaxis(out.reshape(-1, camera.h, camera.w), 0, -1)
         return Image(image[..., :3], image[..., 3], image[..., 4],
@@ -122,11 +130,12 @@ class ImageRenderer:
     def _rounds(
         self, volume: VolumeField, camera: RaySource, pixels: np.ndarray, ray: int, geometry: bool, work: Work
     ) -> np.ndarray:
-        """Colour, opacity, and times opacity depth and, if asked for, (u, v, l) and normal of one ray a pixel, (5 or 11, h·w).
+        """One ray a pixel: (5 or 11, h·w) colour, opacity, and, multiplied by the opacity, depth and, if asked for, (u, v, l) and
+        normal.
 
         Args:
-            ray: which of its rays.
-            work: to which it is added.
+            ray: which of the pixel's rays.
+            work: counts are added to it.
         """
         rounds, count, tile = self.tiling(volume.sample_factor, len(pixels))
         out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
@@ -138,7 +147,7 @@ class ImageRenderer:
                 padded[: len(chosen)] = chosen
                 index = mi.UInt32(padded)
                 rays = self._rays(camera, index, _place(ray))
-                # The padding's rays end where they start, and so cost next to nothing.
+                # Rays of the padding end where they start, and so cost next to nothing.
                 rays.maxt = dr.select(dr.arange(mi.UInt32, tile) < dr.opaque(mi.UInt32, len(chosen)), dr.inf, 0.0)
                 jitter = dr.repeat(_shift(index, ray), count * volume.sample_factor) if self.stratified else None
                 seen = quadrature(volume, rays, self.samples, jitter=jitter, window=(number * count, count), geometry=geometry)
@@ -155,7 +164,7 @@ class ImageRenderer:
                 broken = np.count_nonzero(~np.isfinite(values).all(0))
                 if broken:
                     raise InputError("the field", f"NaN or infinity along {broken} rays", "finite densities and colours",
-                                     "In half precision hidden values end at 65,504: without `--networks half` they may be larger.")
+                                     "Half precision ends at 65,504 in hidden layers: leave out `--networks half`.")
                 values[4:] *= values[3]
                 out[:, chosen] += transmittance[chosen] * values
                 transmittance[chosen] *= 1 - values[3]
@@ -164,14 +173,14 @@ class ImageRenderer:
         return out
 
     def tiling(self, sample_factor: int, rays: int) -> tuple[int, int, int]:
-        """Rounds, samples a ray of each, and rays that are looked at at once, where so many meet a field with that `sample_factor`."""
+        """Number of rounds, samples a ray in each, and rays a tile, for `rays` rays that meet a field with this `sample_factor`."""
         rounds = max(n for n in range(1, min(self.rounds, self.samples) + 1) if self.samples % n == 0)
         count = self.samples // rounds
-        # Padding costs little a lane, but where few samples of few rays are wanted it would be most lanes.
+        # Padding costs little a lane, but for few samples of few rays it would be most lanes.
         return rounds, count, min(max(LANES // (count * sample_factor), 1), rounded(rays, QUANTUM))
 
     def met(self, volume: VolumeField, camera: RaySource) -> int:
-        """How many rays of an image meet the field's box: what its time is proportional to. Cheap."""
+        """How many rays of an image meet the field's box, to which its time is proportional. Cheap."""
         return self.spp * len(self._pixels(volume, camera))
 
     @staticmethod
@@ -189,11 +198,11 @@ class ImageRenderer:
 
 
 def _place(number: int) -> tuple[float, float]:
-    """Where in its pixel ray `number` goes: the centre first, then on along the R2 sequence (Roberts 2018), whose steps are powers of
+    """Where ray `number` passes through its pixel: the centre first, then the R2 sequence (Roberts 2018), whose steps are powers of
     the inverse of the plastic number."""
     return (0.5 + number * 0.7548776662466927) % 1.0, (0.5 + number * 0.5698402909980532) % 1.0
 
 
 def _shift(pixel: mi.UInt32, ray: int) -> mi.Float:
-    """A number in [0, 1) for a pixel and the number of its ray. The default of four rounds is biased over neighbouring pixels."""
+    """A random number in [0, 1) for a pixel and its ray. The default of four rounds is biased over neighbouring pixels."""
     return mi.sample_tea_float32(pixel, dr.opaque(mi.UInt32, ray), 8)

@@ -1,4 +1,4 @@
-"""A light as a Mitsuba scene of its own: its emitters, ready for scenes of ours."""
+"""Lights from a Mitsuba scene file, ready to be put into other scenes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ndf_mi.render.scene import load_scene
 
 
 def lights(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """All that shines or throws shadows in a scene, as entries of another scene's dictionary; its sensors and integrator stay behind.
+    """The emitters and shapes of a scene as entries for another scene's dictionary, without its sensors and integrator.
 
     Raises:
         InputError: the scene is missing, cannot be loaded or holds no emitter.
@@ -22,7 +22,7 @@ def lights(path: str | os.PathLike[str]) -> dict[str, Any]:
     if not scene.emitters():
         raise InputError(path, "a scene without an emitter", "at least one emitter")
     shapes = list(scene.shapes())
-    # Emitters that are shapes come with these.
+    # Shapes bring their own emitters.
     of_shapes = [shape.emitter() for shape in shapes if shape.is_emitter()]
     free = [emitter for emitter in scene.emitters() if not any(emitter is other for other in of_shapes)]
     return {**{f"light_{i}": value for i, value in enumerate(free)}, **{f"around_{i}": value for i, value in enumerate(shapes)}}

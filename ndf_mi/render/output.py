@@ -1,4 +1,4 @@
-"""Images to disk: multi-channel EXR in linear light, 8-bit PNG in sRGB."""
+"""Writes images: multi-channel EXR in linear light, 8-bit PNG in sRGB."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def check_suffix(path: str | os.PathLike[str]) -> None:
 
 
 def write_exr(path: str | os.PathLike[str], channels: dict[str, np.ndarray]) -> None:
-    """Writes named channels, each (h, w), as 32-bit floats, compressed without loss; whole or not at all."""
+    """Writes named channels, each (h, w), as 32-bit floats, losslessly compressed; completely or not at all."""
     pixels = np.stack(list(channels.values()), axis=-1).astype(np.float32)
     with files.replacing(path) as beside:
         mi.Bitmap(pixels, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(str(beside))
 
 
 def write_png(path: str | os.PathLike[str], image: np.ndarray) -> None:
-    """Writes (h, w, 3) sRGB in [0, 1] as 8 bits a channel, rounded; whole or not at all."""
+    """Writes (h, w, 3) sRGB in [0, 1] with 8 bits a channel, rounded; completely or not at all."""
     with files.replacing(path) as beside:
         Image.fromarray(np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)).save(beside, format="PNG")

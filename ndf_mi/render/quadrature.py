@@ -2,7 +2,7 @@
 
     L = Σ_i T_i (1 − exp(−σ_i δ_i)) c_i,    T_i = exp(−Σ_{j<i} σ_j δ_j)
 
-Only samples that can lie in the band are projected, and only those that do lie in it reach a network.
+Only samples that can lie in the band are projected, and only those in it reach the networks.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ class Radiance:
 
     Attributes:
         colour: L, linear, premultiplied; composite a background B as L + (1 − opacity)·B.
-        opacity: 1 − transmittance over the whole ray.
-        depth: expected distance along the ray where the field is met, in scene units; 0 where opacity is 0.
-        u, normal: expected (u, v, l) and normal there; only if asked for, else None.
-        samples: the field at the samples that reached a network, `inside` which of those lanes are real, for regularisers.
-        evaluated: how many samples reached a network.
+        opacity: 1 − transmittance of the whole ray.
+        depth: expected distance along the ray to the field, in scene units; 0 where the opacity is 0.
+        u, normal: expected (u, v, l) and normal there; None unless asked for.
+        samples: the field at the samples that reached the networks, for regularisers.
+        inside: which lanes of `samples` are real rather than padding.
+        evaluated: how many are.
     """
 
     colour: mi.Color3f
@@ -53,8 +54,8 @@ def quadrature(
 ) -> Radiance:
     """Renders `volume` along N rays (directions of unit length) with `samples` candidate samples each.
 
-    Differentiable in whatever `volume.evaluate` is differentiable in, and in the rays; where samples are placed, and which of
-    them reach the network, is detached.
+    Differentiable in the rays and in everything that `volume.evaluate` is attached to. Where samples lie, and which of them reach the
+    networks, is detached.
 
     Args:
         jitter, window, min_transmittance: as in :func:`ndf_mi.render.ray_samples.sample_rays`.

@@ -1,4 +1,4 @@
-"""Path replay backpropagation along rays of one's own choice, with what lies behind the scene in place of its lights."""
+"""Path replay backpropagation along given rays, with a background behind the scene instead of its lights."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import mitsuba as mi
 
 
 class Replay:
-    """Paths along rays, traced once for their radiance and once more for gradients.
+    """Paths along rays, traced once for their radiance and again for gradients.
 
-    Camera rays that leave the scene without having met anything see `background`, and no light. That is exact in the gradients too: what
-    is handed to the second pass as the radiance of such paths is the background, so that every weight along the way gets its share.
+    Camera rays that leave the scene without an interaction see `background` and no emitter. Gradients are exact, too: the second pass
+    receives the background as the radiance of such paths, so that every weight along the way gets its share.
 
     Args:
-        scene: whose parameters get the gradients.
-        integrator: one of Mitsuba's that replay paths, made with `hide_emitters`. Not to be used for another scene.
+        scene: its parameters receive the gradients.
+        integrator: one of Mitsuba's that replay paths, made with `hide_emitters` and used for no other scene.
         background: linear radiance.
     """
 
@@ -28,7 +28,7 @@ class Replay:
         self._sampler = mi.load_dict({"type": "independent"})
 
     def radiance(self, ray: mi.Ray3f, seed: int) -> mi.Color3f:
-        """(N) linear radiance, detached, one path along each of N rays; independent of each other and of other seeds'."""
+        """(N) linear radiance, detached, of one path along each of N rays; independent of one another and for different seeds."""
         with dr.suspend_grad():
             found, valid, *_ = self._integrator.sample(
                 mode=dr.ADMode.Primal, scene=self._scene, sampler=self._seeded(ray, seed), ray=ray, depth=mi.UInt32(0),
@@ -41,8 +41,8 @@ class Replay:
         """Adds Σ adjoint · ∂radiance to the gradients of the scene's parameters.
 
         Args:
-            ray, seed: those of `radiance`.
-            radiance: what :meth:`radiance` returned for them.
+            ray, seed: as for `radiance`.
+            radiance: the result of :meth:`radiance` for them.
             adjoint: (N), detached.
         """
         with dr.suspend_grad():
@@ -56,6 +56,6 @@ class Replay:
 
 
 def repeated(ray: mi.Ray3f, count: int) -> mi.Ray3f:
-    """Every one of N rays `count` times, beside one another."""
+    """Each of N rays `count` times, its copies adjacent."""
     parent = dr.arange(mi.UInt32, max(dr.width(ray.o), dr.width(ray.d)) * count) // count
     return mi.Ray3f(dr.gather(mi.Point3f, ray.o, parent), dr.gather(mi.Vector3f, ray.d, parent))

@@ -1,4 +1,4 @@
-"""Where a ray is sampled, and how the few samples that matter are gathered into arrays of a steady size."""
+"""Where rays are sampled, and how the few samples that matter are gathered into arrays of few different sizes."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import drjit as dr
 import mitsuba as mi
 
 QUANTUM = 2048
-"""Sizes of compacted arrays are multiples of this: a new size means new kernels."""
+"""Compacted arrays have this size, or that of a few multiples: each new size means new kernels."""
 
 
 def box_interval(box: mi.BoundingBox3f, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
-    """Where rays cross an axis-aligned box, in front of their origins and within `maxt`.
+    """Intervals in which rays are inside an axis-aligned box, in front of their origins and within `maxt`.
 
     Returns:
         hit, near, far; near = far = 0 where the box is missed.
     """
     low, high = mi.Point3f(box.min), mi.Point3f(box.max)
-    # The box differs from pose to pose: a literal would be compiled into the kernel.
+    # The box changes with the pose: a literal would be compiled into the kernel.
     dr.make_opaque(low, high)
     hit, near, far = mi.BoundingBox3f(low, high).ray_intersect(ray)
     near = dr.maximum(near, 0.0)
@@ -30,11 +30,11 @@ def stratified(near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | N
 
     Args:
         near, far: N values.
-        jitter: N·samples values in [0, 1), where in its stratum each sample lies; None for the middle.
+        jitter: N·samples values in [0, 1), where in its stratum each sample lies; None for the centres.
 
     Returns:
-        t and the stratum's width δ, both N·samples, a ray's samples beside one another in rising t. The last stratum ends at
-        far: no interval is ever infinite.
+        t and the stratum's width δ, both N·samples, a ray's samples adjacent and in rising t. The last stratum ends at far: no
+        interval is infinite.
     """
     rays = dr.width(near)
     index = dr.arange(mi.UInt32, rays * samples)
@@ -45,7 +45,7 @@ def stratified(near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | N
 
 
 def pad(chosen: mi.UInt32, count: int, size: int, first: int = 0) -> tuple[mi.UInt32, mi.Bool]:
-    """`count` of the chosen indices from number `first` on, and which entries are real; zeros fill them up to `size`. Evaluated."""
+    """`count` of the chosen indices from position `first` on, filled up with zeros to `size`, and which entries are real. Evaluated."""
     lane = dr.arange(mi.UInt32, size)
     real = lane < dr.opaque(mi.UInt32, count)
     if count == 0:
@@ -56,7 +56,7 @@ def pad(chosen: mi.UInt32, count: int, size: int, first: int = 0) -> tuple[mi.UI
 
 
 def rounded(count: int, unit: int) -> int:
-    """The least of `unit` times 1, 3/2, 2, 3, 4, 6, 8, 12 and so on that is no less than `count`; `unit` is even."""
+    """The smallest of `unit` times 1, 3/2, 2, 3, 4, 6, 8, 12, … that is at least `count`; `unit` is even."""
     size, other = unit, unit // 2 * 3
     while size < count:
         size, other = other, 2 * size
@@ -66,7 +66,7 @@ def rounded(count: int, unit: int) -> int:
 def compact(mask: mi.Bool) -> tuple[mi.UInt32, mi.Bool, int]:
     """The lanes where a mask holds, padded to one of a few sizes (:func:`rounded`).
 
-    Sizes are Python numbers and enter kernels: each new one costs a compilation.
+    Sizes are Python numbers that enter kernels: each new one costs a compilation.
 
     Returns:
         the chosen lanes' indices (0 in the padding), which entries are real, and how many those are. Evaluates `mask`.

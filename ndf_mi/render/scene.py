@@ -1,4 +1,4 @@
-"""Loading a scene's XML and rendering it, with Mitsuba's complaints turned into the user's."""
+"""Loads a scene's XML and renders it; Mitsuba's exceptions become InputErrors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def load_scene(path: str | os.PathLike[str], parameters: dict[str, str]) -> mi.S
     """Loads a scene with values for its ``$`` parameters.
 
     Raises:
-        InputError: with what Mitsuba or a plugin found wrong.
+        InputError: Mitsuba or a plugin refuses it; the message says why.
     """
     try:
         scene = mi.load_file(str(path), **parameters)
@@ -40,7 +40,7 @@ def render_scene(
         InputError: there is no such sensor, the integrator cannot render the scene, or pixels are not finite.
 
     Returns:
-        All channels by name, each (h, w) float32, and the radiance as (h, w, 3) sRGB clipped to [0, 1].
+        all channels by name, each (h, w) float32, and the radiance as (h, w, 3) sRGB clipped to [0, 1].
     """
     sensors = scene.sensors()
     if sensor >= len(sensors):
@@ -64,7 +64,7 @@ def render_scene(
     broken = np.count_nonzero(~np.isfinite(array).all(-1))
     if broken:
         raise InputError("scene", f"NaN or infinity in {broken} pixels", "a finite picture",
-                         "Of performers, it is what hidden values above 65,504 give where networks run in half precision, as on GPUs.")
+                         "A performer gives them where networks run in half precision, as on GPUs, and hidden values exceed 65,504.")
     names = [field.name for field in bitmap.struct_()]
     channels = {name: array[..., i] for i, name in enumerate(names)}
     colour = np.stack([channels[n] for n in "RGB"], axis=-1) if "R" in channels else np.repeat(array[..., :1], 3, axis=-1)
@@ -72,7 +72,7 @@ def render_scene(
 
 
 def _plainly(error: BaseException) -> str:
-    """What an exception from Mitsuba says, without the frames of Python that it quotes: the plugin's own message where there is one."""
+    """The message of a Mitsuba exception without the Python frames that it quotes: the plugin's own message where there is one."""
     text = str(error)
     own = text.rpartition("InputError: ")[2] if "InputError: " in text else text
     lines = [line.strip() for line in own.splitlines()]

@@ -1,4 +1,4 @@
-"""The surfaces that a ray meets behind shells: what bounds a medium but neither bends nor scatters light is passed through."""
+"""The surfaces that rays meet behind shells: shapes that bound a medium but neither bend nor scatter light are passed through."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import mitsuba as mi
 def next_surface(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool, skip_emitters: bool = False) -> mi.PreliminaryIntersection3f:
     """The first surface along each ray that is not passed through.
 
-    Shapes whose BSDF is `null` and nothing else are passed through, unless they emit light themselves; the ray is neither moved sideways
-    nor bent.
+    Shapes whose BSDF is only `null` are passed through, unless they emit light; the ray is neither moved sideways nor bent.
 
     Args:
-        skip_emitters: pass through the shapes of area emitters, too.
+        skip_emitters: also pass through the shapes of area emitters.
 
     Returns:
-        The intersection, with `t` the distance from the ray's own origin; infinite where nothing is met within `ray.maxt`. Detached.
+        the intersection, detached; `t` is the distance from the ray's own origin, infinite where nothing is met within `ray.maxt`.
     """
 
     def passed(pi: mi.PreliminaryIntersection3f) -> mi.Bool:
@@ -37,8 +36,8 @@ def next_surface(scene: mi.Scene, ray: mi.Ray3f, active: mi.Bool, skip_emitters:
         through = searching & pi.is_valid()
         through &= passed(pi)
         found.t = dr.select(through, dr.inf, found.t)
-        # A few units in the last place of the position: as little as surely makes progress, so that nothing behind is jumped over.
-        # Meeting the same triangle again does no harm: nothing depends on the number of crossings.
+        # A few units in the last place of the position: the smallest step that makes progress, so that nothing behind is skipped.
+        # To meet the same triangle again does no harm, as nothing depends on the number of crossings.
         reach = dr.max(dr.abs(ray(pi.t)))
         travelled = dr.select(through, pi.t + 16.0 * dr.epsilon(mi.Float) * (1.0 + reach + pi.t), travelled)
         searching = through & (travelled < ray.maxt)

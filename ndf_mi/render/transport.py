@@ -1,12 +1,12 @@
-"""What ray segments see of several fields at once: the paper's emission and absorption, ended by surfaces and taken jointly where fields
-overlap.
+"""Emission and absorption of several fields along ray segments: fields that overlap are integrated jointly, and surfaces end
+segments.
 
 Along a segment of length t_s, with the extinctions σ_k and colours c_k of fields k,
 
     L = ∫_0^{t_s} T(t) Σ_k σ_k(t) c_k(t) dt,    T(t) = exp(−∫_0^t Σ_k σ_k(s) ds)
 
-Every field is taken as constant in each of its strata, which lie as under `ndf_quadrature`. The optical depth of a
-field is then piecewise linear along the ray, and may be read off at the strata's ends of another: so fields need not share strata.
+Every field is constant in each of its strata, which are those of `ndf_quadrature`. A field's optical depth is then piecewise linear
+along the ray and can be evaluated at the ends of another field's strata, so that fields need not share strata.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from ndf_mi.render.ray_samples import Stratified, VolumeField, sample_rays, scat
 from ndf_mi.render.sampling import box_interval, pad, rounded
 
 TILE = 4096
-"""Rays integrated at once at most: what bounds the candidates' memory, at about 50 bytes each."""
+"""Largest number of rays integrated at once. It bounds the candidates' memory, at about 50 bytes each."""
 
 OPAQUE = 1e34
-"""The greatest optical depth of a stratum: differences of their sums are taken, which must not be infinite."""
+"""Largest optical depth of a stratum. Sums of these are subtracted from one another, and so must not be infinite."""
 
 _RAYS = 256
-"""The least number of rays integrated at once: tiles of fewer are filled up."""
+"""Smallest number of rays integrated at once; smaller tiles are filled up."""
 
 
 @dataclass
@@ -44,7 +44,7 @@ class Crossing:
     """What N segments see of all fields.
 
     Attributes:
-        colour: L, linear radiance reaching the segments' origins.
+        colour: L, linear radiance that reaches the segments' origins.
         transmittance: from the segments' ends to their origins.
         depth: Σ_i w_i t_i, the expected distance times the opacity, in metres.
     """
@@ -56,8 +56,14 @@ class Crossing:
 
 @dataclass
 class _Medium:
-    """One field along N rays: its strata, their optical depths `tau`, the field's optical depth `before` each within its ray, and the
-    strata's `colour`, 0 where nothing was evaluated."""
+    """One field along N rays.
+
+    Attributes:
+        strata: the field's samples.
+        tau: optical depth of each stratum.
+        before: the field's optical depth from the ray's origin to each stratum.
+        colour: of each stratum, 0 where nothing was evaluated.
+    """
 
     strata: Stratified
     tau: mi.Float
@@ -65,7 +71,7 @@ class _Medium:
     colour: list[mi.Float]
 
     def optical_depth(self, ray: mi.UInt32, t: mi.Float) -> mi.Float:
-        """From the origin of each ray to the distance t; linear within a stratum, constant before the first and behind the last."""
+        """From each ray's origin to the distance t; linear within a stratum, constant before the first and behind the last."""
         strata = self.strata
         width = dr.gather(mi.Float, strata.width, ray)
         place = dr.clip((t - dr.gather(mi.Float, strata.near, ray)) / dr.maximum(width, 1e-20), 0.0, float(strata.count))
@@ -79,13 +85,12 @@ class _Medium:
 class Transport:
     """Integrates fields along segments.
 
-    How many segments meet a field, and how many of their samples lie in it, differs widely between camera rays, shadow rays and later
-    bounces. Sizes may enter kernels; they are therefore rounded up to a few, rather than kept at the largest that was ever needed, which
-    would have several times as many samples evaluated as there are.
+    The number of segments that meet a field differs widely between camera rays, shadow rays and later bounces. Sizes enter kernels, so
+    they are rounded up to a few. Keeping the largest size ever needed would evaluate several times as many samples.
 
     Args:
-        samples: candidate samples a segment and field (times the field's `sample_factor`).
-        tile: rays at once at most.
+        samples: candidate samples a segment and field, times the field's `sample_factor`.
+        tile: largest number of rays integrated at once.
 
     Attributes:
         evaluated: samples that reached a network since the object was made.
@@ -98,22 +103,22 @@ class Transport:
     def __call__(
         self, performers: Sequence[Performer], ray: mi.Ray3f, active: mi.Bool | bool = True, jitter: mi.Float | None = None
     ) -> Crossing:
-        """What the segments ``[0, ray.maxt]`` of N rays (evaluated; directions of unit length) see.
+        """Radiance and transmittance of the segments ``[0, ray.maxt]`` of N rays (evaluated; directions of unit length).
 
-        Only rays that cross the box of a field are integrated: the others cost one test of each box. Differentiable, by plain automatic
-        differentiation, in whatever the fields' `evaluate` is; not in the rays. Segments that are not active get no light and
-        transmittance 1.
+        Only rays that cross a field's box are integrated; the others cost one test of each box. Differentiable, by plain automatic
+        differentiation, in everything that the fields' `evaluate` is attached to, but not in the rays. Inactive segments have radiance
+        0 and transmittance 1.
 
         Args:
-            performers: the fields; each is to be there once.
-            jitter: N numbers in [0, 1): where in its stratum every sample of a ray lies; None for the middle.
+            performers: the fields, each of them once.
+            jitter: N numbers in [0, 1): where in its stratum every sample of a ray lies; None for the centres.
         """
         width = dr.width(ray.d)
         with dr.suspend_grad():
             active = mi.Bool(active) & dr.full(mi.Bool, True, width)
             crossed = [box_interval(performer.volume.bbox, ray)[0] & active for performer in performers]
             number = sum((dr.select(hit, mi.UInt32(1), 0) for hit in crossed), start=dr.zeros(mi.UInt32, width))
-            # Most rays cross one box: only those that cross several pay for all the fields.
+            # Most rays cross one box. Only those that cross several pay for all fields.
             groups = [([performer], hit & (number == 1)) for performer, hit in zip(performers, crossed, strict=True)]
             if len(performers) > 1:
                 groups.append((list(performers), number > 1))
@@ -166,8 +171,8 @@ class Transport:
 def _weights(one: _Medium, others: list[_Medium]) -> mi.Float:
     """w_i = ∫ over stratum i of T(t) σ_i dt, the share of the stratum's colour that reaches the origin.
 
-    With the optical depth of the others growing by Δ within the stratum, evenly, that is
-    exp(−τ(a_i)) · τ_i · (1 − exp(−(τ_i + Δ))) / (τ_i + Δ), where τ(a_i) is everything ahead of the stratum.
+    If the optical depth of the others grows linearly by Δ within the stratum, this is
+    exp(−τ(a_i)) · τ_i · (1 − exp(−(τ_i + Δ))) / (τ_i + Δ), where τ(a_i) is the optical depth of all fields before the stratum.
     """
     if not others:
         return dr.exp(-one.before) * -expm1(-one.tau)
@@ -183,9 +188,9 @@ def _weights(one: _Medium, others: list[_Medium]) -> mi.Float:
         begin = other.optical_depth(ray, start)
         ahead = ahead + begin
         more = other.optical_depth(ray, start + width) - begin
-        # Rounding must not make an empty stretch negative; of an empty one the derivative is wanted, which `maximum` halves or drops.
+        # Rounding must not make an empty interval negative. `maximum` would halve or drop the derivative of an empty one.
         total = total + dr.select(more < 0, 0.0, more)
-    # Near 0 by the series: the quotient has no derivative there.
+    # Near 0 by a series, as the quotient has no derivative there.
     small = total < 1e-3
     safe = dr.select(small, 1.0, total)
     series = one.tau * dr.fma(total, dr.fma(total, 1 / 6, -0.5), 1.0)

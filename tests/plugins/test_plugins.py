@@ -148,7 +148,7 @@ def test_a_medium_takes_half_precision_where_there_is_no_other(make_run, monkeyp
     for precisions in (("single", "half"), ("half",)):
         monkeypatch.setattr("ndf_mi.variants.cooperative_precisions", lambda precisions=precisions: precisions)
         scene = scene_of(run, integrator, size=8, max_depth=4)
-        halves.append(scene.shapes()[0].interior_medium().posed().bound._half)
+        halves.append(scene.shapes()[0].interior_medium().posed().bound.half)
         if integrator == "volpath":
             images.append(mi.render(scene, spp=64).numpy())
             continue
