@@ -1,4 +1,5 @@
-"""The networks' coordinates: by default the projected point (u*, v*, l*), and the alternatives it is compared with."""
+"""The networks' coordinates: by default the projected point (u*, v*, l*), and the alternatives it is compared
+with."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from ndf_mi.projection import aligned
 
 
 class Coordinates(Protocol):
-    """A point of the band as numbers in a unit cube, as many as the preset's `dimension`; attached to `located` and to the point."""
+    """A point of the band as numbers in a unit cube, as many as the preset's `dimension`; attached to
+    `located` and to the point."""
 
     def __call__(self, x: mi.Point3f, located: Located, active: mi.Bool) -> list[mi.Float]:
         """Coordinates of the points `x`, which lie at `located`; constants in inactive lanes."""
@@ -24,12 +26,15 @@ class Coordinates(Protocol):
 
 
 class Distance:
-    """l as a number in [0, 1]: `signed` maps −`band_inside` … `band` to it, `unsigned` |l|, and `none` takes l = 0 everywhere."""
+    """l as a number in [0, 1]: `signed` maps −`band_inside` … `band` to it, `unsigned` |l|, and `none` takes
+    l = 0 everywhere."""
 
     def __init__(self, preset: Preset) -> None:
         self._kind = preset.distance
         self._inside = preset.band_inside
-        self._scale = 1.0 / (preset.band if preset.distance == "unsigned" else preset.band + preset.band_inside)
+        self._scale = 1.0 / (
+            preset.band if preset.distance == "unsigned" else preset.band + preset.band_inside
+        )
 
     def __call__(self, l: mi.Float) -> mi.Float:
         if self._kind == "unsigned":
@@ -51,8 +56,8 @@ class TexturePoint:
 
 
 class SurfacePoint:
-    """The closest point on the body at rest, (x, y, z) scaled by one factor into the unit cube, and the distance from it: four
-    numbers without seams (Xu et al. 2022, *Surface-Aligned Neural Radiance Fields*).
+    """The closest point on the body at rest, (x, y, z) scaled by one factor into the unit cube, and the
+    distance from it: four numbers without seams (Xu et al. 2022, *Surface-Aligned Neural Radiance Fields*).
 
     Args:
         preset: how the distance is given.
@@ -75,7 +80,8 @@ class SurfacePoint:
 
 
 class World:
-    """(x, y, z) itself, scaled by one factor so that all poses' bodies with their bands lie in the unit cube; clamped to it."""
+    """(x, y, z) itself, scaled by one factor so that all poses' bodies with their bands lie in the unit cube;
+    clamped to it."""
 
     def __init__(self, preset: Preset, poses: Poses) -> None:
         self._low, self._extent = _cube(poses.vertices.reshape(-1, 3), preset.band)

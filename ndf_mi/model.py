@@ -24,7 +24,9 @@ as cooperative vectors, or as cooperative vectors in half precision; `auto` take
 
 def networks_here() -> tuple[str, ...]:
     """The entries of `NETWORKS` that the active variant supports."""
-    return tuple(name for name in NETWORKS if name != "fused" or "single" in variants.cooperative_precisions())
+    return tuple(
+        name for name in NETWORKS if name != "fused" or "single" in variants.cooperative_precisions()
+    )
 
 
 class Model:
@@ -150,7 +152,9 @@ class PosedModel:
     def _located(self, found: Projection) -> Located:
         """A projection as attached as it is; valid in the band."""
         valid = found.valid & (found.l >= -self._inside)
-        return Located(found.triangle, found.uv, found.l, found.normal, found.barycentric, valid, mi.Float(1.0))
+        return Located(
+            found.triangle, found.uv, found.l, found.normal, found.barycentric, valid, mi.Float(1.0)
+        )
 
     def _inputs(
         self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool
@@ -164,12 +168,18 @@ class PosedModel:
     def _sample(self, sigma: mi.Float, colour: mi.Color3f, located: Located, active: mi.Bool) -> FieldSample:
         l = dr.select(active, located.l, 0.0)
         uv = dr.select(active, located.uv, 0.0)
-        return FieldSample(dr.select(active, sigma * self._fading(l), 0.0), colour, mi.Point3f(uv.x, uv.y, l), located.normal)
+        return FieldSample(
+            dr.select(active, sigma * self._fading(l), 0.0), colour, mi.Point3f(uv.x, uv.y, l), located.normal
+        )
 
     def _prefers_fused(self) -> bool:
         """Whether to use cooperative vectors where either form would do: they are faster for small networks,
         forward."""
-        return self.bound.width <= variants.fused_width() if self._networks == "auto" else self._networks != "batched"
+        return (
+            self.bound.width <= variants.fused_width()
+            if self._networks == "auto"
+            else self._networks != "batched"
+        )
 
     def _fading(self, l: mi.Float) -> mi.Float:
         """Factor on the density that falls smoothly from 1 to 0 towards the band's edges."""

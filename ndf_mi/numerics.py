@@ -1,4 +1,5 @@
-"""Elementary functions that are accurate near zero, and sums that are accurate over many terms; Dr.Jit lacks both."""
+"""Elementary functions that are accurate near zero, and sums that are accurate over many terms; Dr.Jit lacks
+both."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ T = TypeVar("T", bound=dr.ArrayBase)
 def expm1(x: T) -> T:
     """eˣ − 1, without cancellation near 0. For x ≤ 80; first derivatives only.
 
-    By series up to ½, where the last bits of exp may be wrong: on GPUs it is an approximation, as is tanh, whose error is 1e-5.
+    By series up to ½, where the last bits of exp may be wrong: on GPUs it is an approximation, as is tanh,
+    whose error is 1e-5.
     """
     detached = dr.detach(x)
     value = dr.select(dr.abs(detached) < 0.5, detached * _exprel(detached), dr.exp(detached) - 1.0)
@@ -25,8 +27,8 @@ def expm1(x: T) -> T:
 
 
 def saturated(a: T, limit: float) -> T:
-    """limit·(1 − e^(−a/limit)) for a ≥ 0: a itself where it is small, down to the smallest floats, and never above `limit`. First
-    derivatives only."""
+    """limit·(1 − e^(−a/limit)) for a ≥ 0: a itself where it is small, down to the smallest floats, and never
+    above `limit`. First derivatives only."""
     x = dr.detach(a) * (1.0 / limit)
     value = dr.select(x < 0.5, dr.detach(a) * _exprel(-x), limit * (1.0 - dr.exp(-x)))
     return dr.replace_grad(value, -limit * dr.exp(a * (-1.0 / limit)))
@@ -41,8 +43,9 @@ def _exprel(x: T) -> T:
 
 
 def log1p(x: T) -> T:
-    """ln(1 + x) for x ≥ 0, accurate near 0. Up to x = 1 by the series of 2·artanh(x / (2 + x)), as the logarithm of a number near 1
-    is an approximation on GPUs. The derivative is that of ln(1 + x), where nothing cancels."""
+    """ln(1 + x) for x ≥ 0, accurate near 0. Up to x = 1 by the series of 2·artanh(x / (2 + x)), as the
+    logarithm of a number near 1 is an approximation on GPUs. The derivative is that of ln(1 + x), where
+    nothing cancels."""
     detached = dr.detach(x)
     near = detached < 1.0
     s = dr.select(near, detached, 0.0) / (2.0 + dr.select(near, detached, 0.0))
@@ -55,8 +58,8 @@ def log1p(x: T) -> T:
 
 
 def softplus(x: T) -> T:
-    """ln(1 + eˣ), finite and accurate for any x. First derivatives only: the logistic function, ½ at 0, where max and |·| have
-    none."""
+    """ln(1 + eˣ), finite and accurate for any x. First derivatives only: the logistic function, ½ at 0, where max
+    and |·| have none."""
     detached = dr.detach(x)
     value = dr.maximum(detached, 0.0) + log1p(dr.exp(-dr.abs(detached)))
     logistic = dr.select(detached < 0, dr.exp(-dr.abs(detached)), 1.0) / (1.0 + dr.exp(-dr.abs(detached)))
@@ -64,14 +67,16 @@ def softplus(x: T) -> T:
 
 
 def block_sum(values: mi.Float, count: int) -> mi.Float:
-    """The sum of each `count` adjacent values. Differentiable; in double precision for more than :data:`SINGLE` terms."""
+    """The sum of each `count` adjacent values. Differentiable; in double precision for more than
+    :data:`SINGLE` terms."""
     if count <= SINGLE:
         return dr.block_sum(values, count)
     return mi.Float(dr.block_sum(mi.Float64(values), count))
 
 
 def sum_before(values: mi.Float, count: int) -> mi.Float:
-    """For each value, the sum of those before it in its block of `count`. Differentiable; precision as in :func:`block_sum`."""
+    """For each value, the sum of those before it in its block of `count`. Differentiable; precision as in
+    :func:`block_sum`."""
     if count <= SINGLE:
         return dr.block_prefix_sum(values, count, exclusive=True)
     return mi.Float(dr.block_prefix_sum(mi.Float64(values), count, exclusive=True))

@@ -42,15 +42,22 @@ class Run:
 
     Attributes:
         path: the folder.
-        config: the contents of ``config.json``: `preset` (all options), `background` (3 numbers, sRGB), `capture` (`name`, `digest`),
-            `training` and more, as training wrote them.
+        config: the contents of ``config.json``: `preset` (all options), `background` (3 numbers, sRGB),
+            `capture` (`name`, `digest`), `training` and more, as training wrote them.
         body, poses: as in the capture.
         model: architecture and coordinates of the field.
         parameters: the field's; training replaces them.
     """
 
-    def __init__(self, path: str | os.PathLike[str], config: dict[str, Any], body: Body, poses: Poses, model: Model,
-                 parameters: FieldParameters) -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        config: dict[str, Any],
+        body: Body,
+        poses: Poses,
+        model: Model,
+        parameters: FieldParameters,
+    ) -> None:
         self.path = Path(path)
         self.config = config
         self.body = body
@@ -66,8 +73,8 @@ class Run:
 
     @property
     def scattered(self) -> bool:
-        """Whether it was trained through scattering, beyond the steps by quadrature that come first. Read from the configuration, which
-        is complete once training has ended or was interrupted."""
+        """Whether it was trained through scattering, beyond the steps by quadrature that come first. Read
+        from the configuration, which is complete once training has ended or was interrupted."""
         training = self.config.get("training")
         if not isinstance(training, dict) or training.get("integrator", QUADRATURE) == QUADRATURE:
             return False
@@ -77,13 +84,16 @@ class Run:
 
     @property
     def colours(self) -> Literal["light", "albedo"] | None:
-        """What the field's colours are: the light in its capture, or albedos; None where the run does not record its training."""
+        """What the field's colours are: the light in its capture, or albedos; None where the run does not
+        record its training."""
         if not isinstance(self.config.get("training"), dict):
             return None
         return "albedo" if self.scattered else "light"
 
     @classmethod
-    def create(cls, path: str | os.PathLike[str], preset: Preset, body: Body, poses: Poses, seed: int, **config: Any) -> Run:
+    def create(
+        cls, path: str | os.PathLike[str], preset: Preset, body: Body, poses: Poses, seed: int, **config: Any
+    ) -> Run:
         """A new run with untrained parameters. Nothing is written until :meth:`save`."""
         config = {"format": FORMAT, "version": VERSION, "preset": preset.to_dict(), "seed": seed, **config}
         model = Model(body, poses, preset)
@@ -102,11 +112,14 @@ class Run:
         body = Body.read(path / "body.npz")
         poses = Poses.read(path / "poses.npz", body)
         model = Model(body, poses, preset)
-        return cls(path, config, body, poses, model, _read_parameters(path / "field.safetensors", model.field))
+        return cls(
+            path, config, body, poses, model, _read_parameters(path / "field.safetensors", model.field)
+        )
 
     @classmethod
     def shared(cls, path: str | os.PathLike[str]) -> Run:
-        """As :meth:`load`, but returns the same object for the same folder, as long as it is in use and its files stay the same.
+        """As :meth:`load`, but returns the same object for the same folder, as long as it is in use and its
+        files stay the same.
 
         Do not change it.
         """
@@ -156,9 +169,13 @@ class Run:
 
     def pose_vector(self, frame: int) -> mi.Float:
         """Flat (3·J) axis-angles at a frame, the root's three zero."""
-        return mi.Float(np.ascontiguousarray(self.poses.pose[self.poses.index(frame)], dtype=np.float32).ravel())
+        return mi.Float(
+            np.ascontiguousarray(self.poses.pose[self.poses.index(frame)], dtype=np.float32).ravel()
+        )
 
-    def posed(self, frame: int, networks: str = "auto", parameters: FieldParameters | None = None) -> PosedModel:
+    def posed(
+        self, frame: int, networks: str = "auto", parameters: FieldParameters | None = None
+    ) -> PosedModel:
         """The field at a frame.
 
         Args:
@@ -166,7 +183,13 @@ class Run:
             networks: as in :class:`PosedModel`.
             parameters: used instead of the run's own; gradients flow to them.
         """
-        return PosedModel(self.model, parameters or self.parameters, self.surface(frame), self.pose_vector(frame), networks=networks)
+        return PosedModel(
+            self.model,
+            parameters or self.parameters,
+            self.surface(frame),
+            self.pose_vector(frame),
+            networks=networks,
+        )
 
     def posed_as(self, vertices: np.ndarray, pose: np.ndarray, networks: str = "auto") -> PosedModel:
         """The field around a body in any pose.
@@ -176,7 +199,9 @@ class Run:
             pose: (J, 3) axis-angles of the joints relative to their parents, in radians, the root's zero.
             networks: as in :class:`PosedModel`.
         """
-        surface = PosedSurface(self.model.surface, mi.Float(np.ascontiguousarray(vertices, np.float32).ravel()), self.model.band)
+        surface = PosedSurface(
+            self.model.surface, mi.Float(np.ascontiguousarray(vertices, np.float32).ravel()), self.model.band
+        )
         pose_vector = mi.Float(np.ascontiguousarray(pose, np.float32).ravel())
         return PosedModel(self.model, self.parameters, surface, pose_vector, networks=networks)
 
@@ -200,7 +225,9 @@ def _read_config(path: Path) -> dict[str, Any]:
             raise InputError(f"{path}: {key}", repr(config.get(key)), f"a {kind.__name__}")
     if config["seed"] < 0:
         raise InputError(f"{path}: seed", str(config["seed"]), "a whole number of at least 0")
-    if len(config["background"]) != 3 or not all(isinstance(v, (int, float)) and 0 <= v <= 1 for v in config["background"]):
+    if len(config["background"]) != 3 or not all(
+        isinstance(v, (int, float)) and 0 <= v <= 1 for v in config["background"]
+    ):
         raise InputError(f"{path}: background", repr(config["background"]), "three numbers in [0, 1]")
     return config
 
@@ -219,7 +246,13 @@ def _read_parameters(path: Path, field: Field) -> FieldParameters:
             raise InputError(f"{path}: {name}", "no such tensor", f"{size} numbers")
         found = tensors[name]
         if found.shape != (size,) or found.dtype != np.float32:
-            raise InputError(f"{path}: {name}", f"{found.dtype} of shape {found.shape}", f"float32 of shape {(size,)}, as the preset has")
+            raise InputError(
+                f"{path}: {name}",
+                f"{found.dtype} of shape {found.shape}",
+                f"float32 of shape {(size,)}, as the preset has",
+            )
         if not np.isfinite(found).all():
             raise InputError(f"{path}: {name}", "numbers that are not finite", "finite numbers")
-    return FieldParameters(mi.Float(tensors["weights"]), mi.Float(tensors["grid"]) if field.grid_size else None)
+    return FieldParameters(
+        mi.Float(tensors["weights"]), mi.Float(tensors["grid"]) if field.grid_size else None
+    )

@@ -24,16 +24,17 @@ _PARAMETERS = ("weights", "grid", "vertices", "pose")
 """The parameters that the medium exposes, in this order."""
 
 _MOVED = (
-    "the body has moved, and {share:.2g} % of its band lie outside the shells and are not seen. Shells do not move: "
-    "load the scene again at this pose."
+    "the body has moved, and {share:.2g} % of its band lie outside the shells and are not seen. Shells do "
+    "not move: load the scene again at this pose."
 )
 _STALLING = (
-    "gradients of the networks are summed in half precision here, where sums stall after some thousand terms. Use few paths at a "
-    "time, train with `ndf-mi optimise --integrator prbvolpath`, which sums in single precision, or use a CPU."
+    "gradients of the networks are summed in half precision here, where sums stall after some thousand "
+    "terms. Use few paths at a time, train with `ndf-mi optimise --integrator prbvolpath`, which sums in "
+    "single precision, or use a CPU."
 )
 _EXCEEDED = (
-    "{excess}. Majorants were raised to hold there, but the estimate has missed fine structure: give the `ndf_shell` a smaller "
-    "`cell`, or leave out `layers` for the majorant that holds by construction."
+    "{excess}. Majorants were raised to hold there, but the estimate has missed fine structure: give the "
+    "`ndf_shell` a smaller `cell`, or leave out `layers` for the majorant that holds by construction."
 )
 
 
@@ -53,13 +54,16 @@ def offset_of(run: Run, props: mi.Properties) -> np.ndarray:
     """(3,) float32: how far a plugin's properties have moved the performer, in metres.
 
     Raises:
-        InputError: it is not finite, or the run's networks take world coordinates, in which a moved performer would be another.
+        InputError: it is not finite, or the run's networks take world coordinates, in which a moved performer
+            would be another.
     """
     offset = np.array(props.get("offset", mi.ScalarVector3f(0.0)), dtype=np.float32).reshape(-1)
     if offset.size != 3 or not np.isfinite(offset).all():
         raise InputError("ndf: offset", str(offset.tolist()), "three finite numbers, in metres")
     if offset.any() and run.model.field.preset.coordinates == "world":
-        raise InputError("ndf: offset", str(offset.tolist()), f"none for {run.path}: its networks take world coordinates")
+        raise InputError(
+            "ndf: offset", str(offset.tolist()), f"none for {run.path}: its networks take world coordinates"
+        )
     return offset
 
 
@@ -73,14 +77,16 @@ def register() -> None:
         Neural deformable field (:monosp:`ndf`)
         ---------------------------------------
 
-        A trained field around a posed body as a participating medium. The field's density is the extinction σ_t (1/m), its
-        colour the single-scattering albedo. Under ``ndf_quadrature`` and ``ndf_path`` the colour is emitted instead.
+        A trained field around a posed body as a participating medium. The field's density is the extinction
+        σ_t (1/m), its colour the single-scattering albedo. Under ``ndf_quadrature`` and ``ndf_path`` the
+        colour is emitted instead.
 
         .. pluginparameters::
 
          * - run
            - |string|
-           - Folder of a run, as made by ``ndf-mi optimise``; relative to the working directory or to the scene's folder.
+           - Folder of a run, as made by ``ndf-mi optimise``; relative to the working directory or to the
+             scene's folder.
          * - frame
            - |int|
            - Frame whose pose the field takes. (Default: the run's first)
@@ -92,9 +98,9 @@ def register() -> None:
            - Factor on the density. (Default: 1)
          * - grid_spacing
            - |float|
-           - Spacing in metres of a grid that the field is sampled on when the scene is loaded and whenever its parameters
-             change. Paths look it up instead of running the networks, which is several times as fast. 0.003 is fine enough
-             for an adult. (Default: 0, no grid)
+           - Spacing in metres of a grid that the field is sampled on when the scene is loaded and whenever
+             its parameters change. Paths look it up instead of running the networks, which is several times
+             as fast. 0.003 is fine enough for an adult. (Default: 0, no grid)
          * - (Nested plugin)
            - |phase|
            - Phase function. (Default: isotropic)
@@ -108,16 +114,20 @@ def register() -> None:
            - The posed body's vertices (flat, metres) and the pose vector (flat axis-angles, radians).
            - |exposed|, |differentiable|
 
-        - Works under ``volpath``, ``volpathmis``, ``prbvolpath``, ``ndf_path`` and ``ndf_quadrature``. Integrators that know no
-          media (``path``, ``direct``) show nothing of it; :func:`ndf_mi.render.scene_issues.scene_issues` reports them.
-        - The majorant is one number, above every density by construction of the density's activation. An ``ndf_shell`` with
-          ``layers`` provides local ones, estimated from samples.
-        - The density is zero outside the band. Enclose the medium in an ``ndf_shell`` or in any closed shape around the band.
-        - A shape around the medium does not move with it: after a change of ``vertices``, make a new ``ndf_shell``.
-        - With ``grid_spacing``, the field is linear between the grid's nodes, colours must not depend on the view direction, no
-          gradients reach the parameters, and the majorant follows from the densest node. ``ndf_quadrature`` and ``ndf_path``
-          show the field itself regardless.
-        - A sensor inside the medium must name it (``<ref id="…"/>``). ``prbvolpath`` begins outside of media even then.
+        - Works under ``volpath``, ``volpathmis``, ``prbvolpath``, ``ndf_path`` and ``ndf_quadrature``.
+          Integrators that know no media (``path``, ``direct``) show nothing of it;
+          :func:`ndf_mi.render.scene_issues.scene_issues` reports them.
+        - The majorant is one number, above every density by construction of the density's activation. An
+          ``ndf_shell`` with ``layers`` provides local ones, estimated from samples.
+        - The density is zero outside the band. Enclose the medium in an ``ndf_shell`` or in any closed shape
+          around the band.
+        - A shape around the medium does not move with it: after a change of ``vertices``, make a new
+          ``ndf_shell``.
+        - With ``grid_spacing``, the field is linear between the grid's nodes, colours must not depend on the
+          view direction, no gradients reach the parameters, and the majorant follows from the densest node.
+          ``ndf_quadrature`` and ``ndf_path`` show the field itself regardless.
+        - A sensor inside the medium must name it (``<ref id="…"/>``). ``prbvolpath`` begins outside of media
+          even then.
         """
 
         def __init__(self, props: mi.Properties) -> None:
@@ -133,14 +143,21 @@ def register() -> None:
                 raise InputError("ndf: scale", repr(self.scale), "a number above 0")
             self.grid_spacing = float(props.get("grid_spacing", 0.0))
             if not 0 <= self.grid_spacing < float("inf"):
-                raise InputError("ndf: grid_spacing", repr(self.grid_spacing), "a spacing above 0 in metres, or 0 for no grid")
+                raise InputError(
+                    "ndf: grid_spacing",
+                    repr(self.grid_spacing),
+                    "a spacing above 0 in metres, or 0 for no grid",
+                )
             if self.grid_spacing > 0 and self.run.model.field.preset.direction_octaves >= 0:
-                raise InputError("ndf: grid_spacing", f"{self.grid_spacing:g}, of a field whose colours depend on the view direction",
+                raise InputError("ndf: grid_spacing", f"{self.grid_spacing:g}, of a field whose colours "
+                                                      "depend on the view direction",
                                  "0, or a field without that", "A grid holds one colour for all directions.")
             self.weights, self.grid = mi.Float(self.run.parameters.weights), self.run.parameters.grid
             if self.grid is not None:
                 self.grid = mi.Float(self.grid)
-            self.vertices = mi.Float((self.run.poses.vertices[self.run.poses.index(self.frame)] + self.offset).ravel())
+            self.vertices = mi.Float(
+                (self.run.poses.vertices[self.run.poses.index(self.frame)] + self.offset).ravel()
+            )
             self.pose = self.run.pose_vector(self.frame)
             # A literal would be compiled into every kernel, and again for each new value.
             dr.make_opaque(self.weights, self.grid, self.vertices, self.pose)
@@ -189,29 +206,36 @@ def register() -> None:
             if self._nested is not None and (not keys or not set(_PARAMETERS).isdisjoint(keys)):
                 self._follow(self._nested, moved)
 
-        def nest(self, layers: int, cell: float) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[mi.Medium]]:
-            """Nested shells around the field with its present parameters, and the medium between each and the next.
+        def nest(
+            self, layers: int, cell: float
+        ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[mi.Medium]]:
+            """Nested shells around the field with its present parameters, and the medium between each and the
+            next.
 
             Args:
                 layers: largest number of shells.
                 cell: spacing in metres of the grid that they are cut from.
 
             Returns:
-                the shells from the outermost on, as vertices and faces, and as many media. These share the field's parameters,
-                which the first exposes, and its phase function; their majorants follow changes of the parameters.
+                the shells from the outermost on, as vertices and faces, and as many media. These share the
+                field's parameters, which the first exposes, and its phase function; their majorants follow
+                changes of the parameters.
 
             Raises:
                 InputError: the medium has shells already.
             """
             if self._nested is not None:
-                raise InputError("ndf_shell", "an `ndf` medium that is inside another `ndf_shell`", "a medium of its own for each")
+                raise InputError("ndf_shell", "an `ndf` medium that is inside another "
+                                              "`ndf_shell`", "a medium of its own for each")
             self._nested = Majorants(self.run.model, self._seen, self.vertices, layers, cell)
             self._adopt(self._nested)
-            return self._nested.layers.shells, [NDFLayer(self, index) for index in range(len(self._nested.values))]
+            return self._nested.layers.shells, [
+                NDFLayer(self, index) for index in range(len(self._nested.values))
+            ]
 
         def _follow(self, nested: Majorants, moved: bool) -> None:
-            """New majorants between the same shells. While gradients are tracked, weights change all the time: then the majorant
-            that holds by construction."""
+            """New majorants between the same shells. While gradients are tracked, weights change all the
+            time: then the majorant that holds by construction."""
             if moved:
                 left_out = nested.left_out(self.vertices)
                 if left_out > 0:
@@ -231,7 +255,9 @@ def register() -> None:
             self.layer_majorants = [dr.opaque(mi.Float, value * self.scale) for value in values]
 
         def _differentiated(self) -> bool:
-            return any(dr.grad_enabled(value) for name in _PARAMETERS if (value := getattr(self, name)) is not None)
+            return any(
+                dr.grad_enabled(value) for name in _PARAMETERS if (value := getattr(self, name)) is not None
+            )
 
         def _warn(self, kind: str, text: str) -> None:
             """Logs a warning of each kind once."""
@@ -255,20 +281,31 @@ def register() -> None:
         ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
             """(σ_s, σ_n, σ_t) in 1/m under a majorant, where σ_n = majorant − σ_t."""
             if self._seen is not self._model and self._differentiated():
-                raise InputError("ndf: grid_spacing", "gradients of parameters", "none: what is sampled on a grid is detached",
-                                 "Leave out `grid_spacing`.")
+                raise InputError(
+                    "ndf: grid_spacing",
+                    "gradients of parameters",
+                    "none: what is sampled on a grid is detached",
+                    "Leave out `grid_spacing`.",
+                )
             if self._model.bound.half and self._model.bound.attached:
                 self._warn("stalling", _STALLING)
             sample = self._seen.fused(mei.p, -mei.wi, active)
             extinction = sample.sigma * self.scale
-            return (mi.UnpolarizedSpectrum(extinction * sample.colour), mi.UnpolarizedSpectrum(majorant - extinction),
-                    mi.UnpolarizedSpectrum(extinction))
+            return (
+                mi.UnpolarizedSpectrum(extinction * sample.colour),
+                mi.UnpolarizedSpectrum(majorant - extinction),
+                mi.UnpolarizedSpectrum(extinction),
+            )
 
         def to_string(self) -> str:
-            return f"NDFMedium[\n  run = {self.run.path},\n  frame = {self.frame},\n  majorant = {self.majorant[0]:.4g}\n]"
+            return (
+                f"NDFMedium[\n  run = {self.run.path},\n  frame = {self.frame},\n"
+                f"  majorant = {self.majorant[0]:.4g}\n]"
+            )
 
     class NDFLayer(mi.Medium):
-        """The field of an ``ndf`` medium between two nested shells, under a majorant of its own. Made by ``ndf_shell``."""
+        """The field of an ``ndf`` medium between two nested shells, under a majorant of its own. Made by
+        ``ndf_shell``."""
 
         def __init__(self, field: NDFMedium, index: int) -> None:
             props = mi.Properties("ndf")
@@ -314,6 +351,9 @@ def register() -> None:
             return self.field.coefficients(mei, self.majorant, active)
 
         def to_string(self) -> str:
-            return f"NDFLayer[\n  index = {self.index},\n  majorant = {self.majorant[0]:.4g},\n  field = {self.field}\n]"
+            return (
+                f"NDFLayer[\n  index = {self.index},\n  majorant = {self.majorant[0]:.4g},\n"
+                f"  field = {self.field}\n]"
+            )
 
     mi.register_medium("ndf", lambda props: NDFMedium(props))

@@ -23,10 +23,10 @@ def register() -> None:
         Medium on a grid (:monosp:`ndf_grid`)
         -------------------------------------
 
-        Extinction and scattering coefficient at the nodes of a grid, linear in between along each axis, zero outside. Training
-        through scattering samples a field on it once a step; paths then look it up many times. Unlike Mitsuba's
-        ``heterogeneous`` with grid volumes, it can be moved without compiling anything, and its majorant is strictly above the
-        density, as gradients need it to be.
+        Extinction and scattering coefficient at the nodes of a grid, linear in between along each axis, zero
+        outside. Training through scattering samples a field on it once a step; paths then look it up many
+        times. Unlike Mitsuba's ``heterogeneous`` with grid volumes, it can be moved without compiling
+        anything, and its majorant is strictly above the density, as gradients need it to be.
 
         .. pluginparameters::
 
@@ -64,8 +64,8 @@ def register() -> None:
             """Sets the nodes' values; gradients flow to them.
 
             Args:
-                nodes: flat (nz, ny, nx, 4): σ_t and the three channels of σ_s, in 1/m. Zero on the border; other values would
-                    continue outside.
+                nodes: flat (nz, ny, nx, 4): σ_t and the three channels of σ_s, in 1/m. Zero on the border;
+                    other values would continue outside.
                 low: position of the first node.
                 densest: one number, the largest σ_t at a node or more, in 1/m.
             """
@@ -92,7 +92,10 @@ def register() -> None:
                     mi.UnpolarizedSpectrum(extinction))
 
         def to_string(self) -> str:
-            return f"GridMedium[\n  shape = {self.shape},\n  cell = {self.cell:g},\n  majorant = {self.majorant[0]:.4g}\n]"
+            return (
+                f"GridMedium[\n  shape = {self.shape},\n  cell = {self.cell:g},\n"
+                f"  majorant = {self.majorant[0]:.4g}\n]"
+            )
 
     def formerly(props: mi.Properties) -> GridMedium:
         warn("plugin ndf_lattice", "ndf_grid")

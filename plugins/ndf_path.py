@@ -16,17 +16,18 @@ from ndf_mi.render.surfaces import next_surface, occluded
 from ndf_mi.render.transport import Crossing, Performer, Transport
 
 PATHS_AT_ONCE = 1 << 18
-"""Paths of one pass, if the film has no more pixels: what bounds memory."""
+"""Paths of one pass, if the film has no more pixels. They bound memory."""
 
 CHANNELS = {"depth": "depth.T", "opacity": "opacity.A"}
-"""What can be asked for beside radiance, and the names of its channels."""
+"""What can be output besides radiance, and the names of its channels."""
 
 
 @dataclass
 class Origin:
     """Where a ray was scattered: what weighting an emitter that it meets against sampling that emitter needs.
 
-    `point` the place, `pdf` (per solid angle) of the ray's direction, `delta` whether no other direction could have been sampled.
+    `point` the place, `pdf` (per solid angle) of the ray's direction, `delta` whether no other direction
+    could have been sampled.
     """
 
     point: mi.Interaction3f
@@ -40,9 +41,11 @@ class Vertex:
 
     Attributes:
         emitted: radiance of the emitter met, weighted against sampling it from the origin of the ray.
-        lit: radiance of a sampled emitter that is scattered back along the path, so weighted too; 0 where a surface is in between.
+        lit: radiance of a sampled emitter that is scattered back along the path, so weighted too; 0 where a
+            surface is in between.
         shadow: the segment to that emitter.
-        onward: the ray on which the path goes on, `weight` its throughput, `eta` the relative refractive index crossed.
+        onward: the ray on which the path goes on, `weight` its throughput, `eta` the relative refractive
+            index crossed.
         scattered: a surface was met, and not merely passed.
         active: the path may go on.
         origin: of the ray onward.
@@ -70,40 +73,46 @@ def register() -> None:
         Path tracing around performers (:monosp:`ndf_path`)
         ----------------------------------------------------
 
-        Neural deformable fields emit and absorb, by the paper's equation, as under ``ndf_quadrature``; surfaces and emitters of any kind
-        are path traced. Performers are seen in mirrors and through glass, stand before and behind other things, throw
-        shadows and shine on what is around them.
+        Neural deformable fields emit and absorb, by the paper's equation, as under ``ndf_quadrature``;
+        surfaces and emitters of any kind are path traced. Performers are seen in mirrors and through glass,
+        stand before and behind other things, throw shadows and shine on what is around them.
 
         .. pluginparameters::
 
          * - max_depth
            - |int|
-           - Longest path in segments: 1 shows emitters and performers themselves, 2 adds light scattered once by surfaces; -1 is no limit.
-             (Default: 6)
+           - Longest path in segments: 1 shows emitters and performers themselves, 2 adds light scattered once
+             by surfaces; -1 is no limit. (Default: 6)
          * - rr_depth
            - |int|
            - Segments after which Russian roulette begins. (Default: 5)
          * - samples
            - |int|
-           - Candidate samples a performer and segment, spread evenly over the segment's part in the body's padded box. (Default: 128)
+           - Candidate samples a performer and segment, spread evenly over the segment's part in the body's
+             padded box. (Default: 128)
          * - stratified
            - |bool|
-           - Shift each segment's samples by a random part of their distance, drawn from the sampler. (Default: false)
+           - Shift each segment's samples by a random part of their distance, drawn from the sampler.
+             (Default: false)
          * - hide_emitters
            - |bool|
            - Hide emitters that are seen directly. (Default: false)
          * - aovs
            - |string|
-           - What else to output, separated by commas: depth (distance along the ray to the performers), opacity (of the performers before
-             the first surface). (Default: none)
+           - What else to output, separated by commas: depth (distance along the ray to the performers),
+             opacity (of the performers before the first surface). (Default: none)
 
-        - Any number of performers: ``ndf`` media in shapes whose BSDF is ``null``. Where performers overlap, they absorb and emit together.
-        - Without a performer it is Mitsuba's ``path``, and before nothing but an environment, ``ndf_quadrature``.
+        - Any number of performers: ``ndf`` media in shapes whose BSDF is ``null``. Where performers overlap,
+          they absorb and emit together.
+        - Without a performer it is Mitsuba's ``path``, and before nothing but an environment,
+          ``ndf_quadrature``.
         - Performers do not scatter light: what falls on them is not seen on them, but missing behind them.
         - Performers are not sampled as emitters: surfaces find their light by sampling the BSDF.
-        - Shapes with BSDF ``null`` are passed through and do not count as a segment's end, nor do they block shadow rays.
+        - Shapes with BSDF ``null`` are passed through and do not count as a segment's end, nor do they block
+          shadow rays.
         - Other media are refused.
-        - Differentiable in what ``ndf`` media expose, by plain automatic differentiation; other parameters with gradients are refused.
+        - Differentiable in what ``ndf`` media expose, by plain automatic differentiation; other parameters
+          with gradients are refused.
 
         .. tabs::
             .. code-tab:: xml
@@ -117,7 +126,9 @@ def register() -> None:
         def __init__(self, props: mi.Properties) -> None:
             depth = int(props.get("max_depth", 6))
             if depth != -1 and depth < 1:
-                raise InputError("ndf_path: max_depth", str(depth), "a whole number above 0, or -1 for no limit")
+                raise InputError(
+                    "ndf_path: max_depth", str(depth), "a whole number above 0, or -1 for no limit"
+                )
             # Both are Mitsuba's own to read, which takes any number.
             properties.count(props, "ndf_path", "rr_depth", 5)
             super().__init__(props)
@@ -129,7 +140,13 @@ def register() -> None:
             return [CHANNELS[name] for name in self.aovs]
 
         def sample(
-            self, mode: dr.ADMode, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool = True, **_: Any
+            self,
+            mode: dr.ADMode,
+            scene: mi.Scene,
+            sampler: mi.Sampler,
+            ray: mi.Ray3f,
+            active: mi.Bool = True,
+            **_: Any,
         ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
             fields = performers(scene, "ndf_path")
             if mode != dr.ADMode.Primal:
@@ -140,7 +157,11 @@ def register() -> None:
             L = mi.Color3f(dr.zeros(mi.Float, width))
             β = mi.Color3f(dr.full(mi.Float, 1.0, width))
             η = dr.full(mi.Float, 1.0, width)
-            origin = Origin(dr.zeros(mi.Interaction3f, width), dr.full(mi.Float, 1.0, width), dr.full(mi.Bool, True, width))
+            origin = Origin(
+                dr.zeros(mi.Interaction3f, width),
+                dr.full(mi.Float, 1.0, width),
+                dr.full(mi.Bool, True, width),
+            )
             scattered = dr.full(mi.Bool, False, width)
             opacity, aovs = dr.zeros(mi.Float, width), [dr.zeros(mi.Float, width) for _ in self.aovs]
             # Literals would give the first segment kernels of its own.
@@ -159,7 +180,8 @@ def register() -> None:
                     if depth == 0:
                         opacity, aovs = 1.0 - crossing.transmittance, self._aov_values(crossing)
 
-                # What the surface emits, what it scatters of a sampled emitter's light, and where the path goes on.
+                # What the surface emits, what it scatters of a sampled emitter's light, and where the path
+                # goes on.
                 last = depth + 1 == self.max_depth
                 with dr.suspend_grad():
                     environment = scattered | (not self.hide_emitters)
@@ -187,7 +209,8 @@ def register() -> None:
         def _cross(
             self, fields: list[Performer], ray: mi.Ray3f, active: mi.Bool, sampler: mi.Sampler, *others: Any
         ) -> Crossing | None:
-            """What the performers do along segments; None where there are none. Evaluates what is given, `others` too."""
+            """What the performers do along segments; None where there are none. Evaluates what is given,
+            `others` too."""
             jitter = sampler.next_1d() if self.stratified else None
             if not fields:
                 return None
@@ -196,10 +219,18 @@ def register() -> None:
             return self.transport(fields, ray, active, jitter)
 
         def _vertex(
-            self, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, found: mi.PreliminaryIntersection3f, origin: Origin,
-            active: mi.Bool, environment: mi.Bool, last: bool,
+            self,
+            scene: mi.Scene,
+            sampler: mi.Sampler,
+            ray: mi.Ray3f,
+            found: mi.PreliminaryIntersection3f,
+            origin: Origin,
+            active: mi.Bool,
+            environment: mi.Bool,
+            last: bool,
         ) -> Vertex:
-            """Emission met, an emitter sampled and the BSDF sampled, as in Mitsuba's `path`; `environment` where that is to be seen."""
+            """Emission met, an emitter sampled and the BSDF sampled, as in Mitsuba's `path`; `environment`
+            where that is to be seen."""
             si = found.compute_surface_interaction(ray, +mi.RayFlags.All, active)
 
             met = mi.DirectionSample3f(scene, si, origin.point)
@@ -212,17 +243,27 @@ def register() -> None:
             sampled = onward & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
             ds, radiance = scene.sample_emitter_direction(si, sampler.next_2d(), False, sampled)
             sampled &= ds.pdf != 0.0
-            value, pdf, bs, weight = bsdf.eval_pdf_sample(mi.BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(), sampler.next_2d(),
-                                                          onward)
+            value, pdf, bs, weight = bsdf.eval_pdf_sample(
+                mi.BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(), sampler.next_2d(), onward
+            )
             lit = mi.Color3f(value * radiance * dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf)))
             sampled &= dr.any(lit != 0.0)
             shadow = si.spawn_ray_to(ds.p)
             lit = dr.select(sampled & ~occluded(scene, shadow, sampled), lit, 0.0)
-            # The place given for an emitter at infinity is behind all shapes, but a performer may reach beyond the shape that carries it.
-            shadow.maxt = dr.select(mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite), dr.inf, shadow.maxt)
+            # The place given for an emitter at infinity is behind all shapes, but a performer may reach
+            # beyond the shape that carries it.
+            shadow.maxt = dr.select(
+                mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite), dr.inf, shadow.maxt
+            )
 
             point = dr.zeros(mi.Interaction3f, dr.width(ray.d))
-            point.t, point.time, point.wavelengths, point.p, point.n = si.t, si.time, si.wavelengths, si.p, si.n
+            point.t, point.time, point.wavelengths, point.p, point.n = (
+                si.t,
+                si.time,
+                si.wavelengths,
+                si.p,
+                si.n,
+            )
             return Vertex(
                 emitted=emitted,
                 lit=lit,
@@ -238,7 +279,8 @@ def register() -> None:
         def _roulette(
             self, β: mi.Color3f, η: mi.Float, sampler: mi.Sampler, active: mi.Bool, depth: int
         ) -> tuple[mi.Float, mi.Bool]:
-            """Ends paths at random by their throughput from `rr_depth` on; the factor on those that go on, and which do."""
+            """Ends paths at random by their throughput from `rr_depth` on; the factor on those that go on,
+            and which do."""
             largest = dr.max(β)
             probability = dr.minimum(largest * dr.square(η), 0.95)
             play = dr.opaque(mi.UInt32, depth) >= self.rr_depth
@@ -252,7 +294,13 @@ def register() -> None:
             return [values[name] for name in self.aovs]
 
         def render(
-            self, scene: mi.Scene, sensor: int | mi.Sensor = 0, seed: int = 0, spp: int = 0, develop: bool = True, evaluate: bool = True
+            self,
+            scene: mi.Scene,
+            sensor: int | mi.Sensor = 0,
+            seed: int = 0,
+            spp: int = 0,
+            develop: bool = True,
+            evaluate: bool = True,
         ) -> mi.TensorXf:
             """Renders in passes of some of the samples a pixel each."""
             if isinstance(sensor, int):
@@ -286,14 +334,16 @@ def register() -> None:
                 return film.develop()
 
         def to_string(self) -> str:
-            return (f"NDFPath[max_depth = {self.max_depth}, rr_depth = {self.rr_depth}, samples = {self.transport.samples}, "
-                    f"stratified = {self.stratified}, hide_emitters = {self.hide_emitters}, aovs = {self.aovs}]")
+            return (f"NDFPath[max_depth = {self.max_depth}, rr_depth = {self.rr_depth}, samples = "
+                    f"{self.transport.samples}, stratified = {self.stratified}, hide_emitters = "
+                    f"{self.hide_emitters}, aovs = {self.aovs}]")
 
     mi.register_integrator("ndf_path", lambda props: NDFPath(props))
 
 
 class _Part:
-    """A sampler whose wavefront holds `count` of its samples a pixel, as places in pixels are drawn from it."""
+    """A sampler whose wavefront holds `count` of its samples a pixel, as places in pixels are drawn from
+    it."""
 
     def __init__(self, sampler: mi.Sampler, count: int) -> None:
         self.sample_count = lambda: count

@@ -15,7 +15,7 @@ from ndf_mi.render.quadrature import Radiance, quadrature
 from ndf_mi.render.transport import Performer
 
 RAYS_AT_ONCE = 1 << 15
-"""Rays of one pass: what bounds memory, at about 50 bytes a candidate sample."""
+"""Rays of one pass. They bound memory, at about 50 bytes a candidate sample."""
 
 CHANNELS = {
     "depth": ("depth.T",),
@@ -23,7 +23,7 @@ CHANNELS = {
     "uvl": ("uvl.U", "uvl.V", "uvl.L"),
     "normal": ("normal.X", "normal.Y", "normal.Z"),
 }
-"""What can be asked for beside radiance, and the names of its channels."""
+"""What can be output besides radiance, and the names of its channels."""
 
 
 def register() -> None:
@@ -37,8 +37,8 @@ def register() -> None:
         Emission and absorption of a neural deformable field (:monosp:`ndf_quadrature`)
         --------------------------------------------------------------------------------
 
-        Renders the scene's ``ndf`` medium by the paper's equation, L = Σ T_i (1 − exp(−σ_i δ_i)) c_i, and the scene's environment
-        emitter behind it. Nothing is random by default but the sampler's places of rays in their pixels.
+        Renders the scene's ``ndf`` medium by the paper's equation, L = Σ T_i (1 − exp(−σ_i δ_i)) c_i, and the
+        scene's environment emitter behind it. By default nothing is random but the positions of rays in pixels.
 
         .. pluginparameters::
 
@@ -47,19 +47,23 @@ def register() -> None:
            - Candidate samples a ray, spread evenly over the body's padded box. (Default: 128)
          * - stratified
            - |bool|
-           - Shift each ray's samples by a random part of their distance, drawn from the sampler. (Default: false)
+           - Shift each ray's samples by a random fraction of their spacing, drawn from the sampler. (Default:
+             false)
          * - min_transmittance
            - |float|
-           - Early termination: samples whose transmittance is below this are skipped. Their transmittance follows from the densities
-             alone, evaluated once more for it, which pays where gradients are taken. (Default: 0, none is skipped)
+           - Early termination: samples whose transmittance is below this are skipped. Their transmittance
+             follows from the densities alone, evaluated once more for it, which pays where gradients are
+             taken. (Default: 0, none is skipped)
          * - aovs
            - |string|
-           - What else to output, separated by commas: depth (distance along the ray), opacity, uvl (the expected u, v and l),
-             normal (of the body's surface nearest to what is seen). (Default: none)
+           - What else to output, separated by commas: depth (distance along the ray), opacity, uvl (the
+             expected u, v and l), normal (of the body's surface nearest to what is seen). (Default: none)
 
-        - Differentiable in whatever the medium exposes, and in the sensor's rays, by plain automatic differentiation.
+        - Differentiable in the medium's parameters and in the sensor's rays, by plain automatic
+          differentiation.
         - Only samples in the band are projected and evaluated, all together.
-        - Sees neither surfaces, nor other media, nor emitters other than the environment: no light is scattered.
+        - Sees neither surfaces, nor other media, nor emitters other than the environment: no light is
+          scattered.
         - One ``ndf`` medium a scene.
 
         .. tabs::
@@ -78,14 +82,21 @@ def register() -> None:
             rename_parameter(props, "ndf_quadrature", "hidden", "min_transmittance")
             self.min_transmittance = float(props.get("min_transmittance", 0.0))
             if not 0 <= self.min_transmittance < 1:
-                raise InputError("ndf_quadrature: min_transmittance", f"{self.min_transmittance:g}", "a number in [0, 1)")
+                raise InputError("ndf_quadrature: "
+                                 "min_transmittance", f"{self.min_transmittance:g}", "a number in [0, 1)")
             self.aovs = properties.aovs(props, "ndf_quadrature", CHANNELS)
 
         def aov_names(self) -> list[str]:
             return [channel for name in self.aovs for channel in CHANNELS[name]]
 
         def sample(
-            self, mode: dr.ADMode, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, active: mi.Bool = True, **_: Any
+            self,
+            mode: dr.ADMode,
+            scene: mi.Scene,
+            sampler: mi.Sampler,
+            ray: mi.Ray3f,
+            active: mi.Bool = True,
+            **_: Any,
         ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
             performer = _performer(scene)
             offset = sampler.next_1d() if self.stratified else None
@@ -101,13 +112,17 @@ def register() -> None:
                 colour += (1.0 - opacity) * environment.eval(si)
             return mi.Spectrum(colour), opacity > 0.5, self._aov_values(passes), None
 
-        def _pass(self, performer: Performer, ray: mi.Ray3f, offset: mi.Float | None, first: int, count: int) -> Radiance:
+        def _pass(
+            self, performer: Performer, ray: mi.Ray3f, offset: mi.Float | None, first: int, count: int
+        ) -> Radiance:
             """Radiance along `count` rays from number `first` on."""
             index = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
             part = mi.Ray3f(dr.gather(mi.Point3f, ray.o, index), dr.gather(mi.Vector3f, ray.d, index))
             jitter = None
             if offset is not None:
-                jitter = dr.repeat(dr.gather(mi.Float, offset, index), self.samples * performer.volume.sample_factor)
+                jitter = dr.repeat(
+                    dr.gather(mi.Float, offset, index), self.samples * performer.volume.sample_factor
+                )
             geometry = "uvl" in self.aovs or "normal" in self.aovs
             return quadrature(performer.volume, part, self.samples, jitter=jitter, scale=performer.scale,
                               min_transmittance=self.min_transmittance, geometry=geometry)
@@ -138,7 +153,8 @@ def _performer(scene: mi.Scene) -> Performer:
         if isinstance(medium, FieldMedium) and not any(medium.neural_field is other for other in found):
             found.append(medium.neural_field)
     if len(found) != 1:
-        raise InputError("ndf_quadrature", f"{len(found)} `ndf` media in the scene", "exactly one, as the interior of a shape")
+        raise InputError("ndf_quadrature", f"{len(found)} `ndf` media in the "
+                                           "scene", "exactly one, as the interior of a shape")
     return emitting(found[0])
 
 

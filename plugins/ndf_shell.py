@@ -19,9 +19,9 @@ def make_shell(props: mi.Properties) -> mi.Object:
     Shell of a neural deformable field (:monosp:`ndf_shell`)
     --------------------------------------------------------
 
-    A closed triangle mesh tightly around the band of a run's body at a frame, made when the scene is loaded. With ``layers``,
-    several of them, one within the other, between which the medium has local majorants. Give it an ``ndf`` medium as its
-    interior.
+    A closed triangle mesh tightly around the band of a run's body at a frame, made when the scene is loaded.
+    With ``layers``, several of them, one within the other, between which the medium has local majorants. Give
+    it an ``ndf`` medium as its interior.
 
     .. pluginparameters::
 
@@ -33,15 +33,17 @@ def make_shell(props: mi.Properties) -> mi.Object:
        - Frame whose pose it follows. (Default: the interior medium's, or without one the run's first)
      * - offset
        - |vector|
-       - Where the performer stands relative to the run, in metres. (Default: the interior medium's, or without one 0, 0, 0)
+       - Where the performer stands relative to the run, in metres. (Default: the interior medium's, or
+         without one 0, 0, 0)
      * - layers
        - |int|
-       - Largest number of nested shells; 0 for a single one, in which the medium keeps the majorant that holds by construction.
-         Fewer are made where more would not pay. 4 is a good number for a trained field. (Default: 0)
+       - Largest number of nested shells; 0 for a single one, in which the medium keeps the majorant that
+         holds by construction. Fewer are made where more would not pay. 4 is a good number for a trained
+         field. (Default: 0)
      * - cell
        - |float|
-       - Spacing in metres of the grid that the shell is cut from: a smaller one gives a tighter shell with more triangles, and
-         takes longer. (Default: 0.0125)
+       - Spacing in metres of the grid that the shell is cut from: a smaller one gives a tighter shell with
+         more triangles, and takes longer. (Default: 0.0125)
      * - (Nested plugin)
        - |bsdf|
        - What the shell itself looks like. (Default: null)
@@ -49,13 +51,14 @@ def make_shell(props: mi.Properties) -> mi.Object:
        - |medium|
        - The ``ndf`` medium, and the medium around the shell, if any.
 
-    - Contains every point of the band. Where the body is thick enough, its inside deeper than ``band_inside`` is left out.
-    - The mesh is where the performer is, and faces outward: it accepts no ``to_world`` and no ``flip_normals``. To move it, set
-      the ``offset`` of the medium.
-    - With ``layers``, the majorants are estimated from samples of the density. A check at other points raises those that it finds
-      exceeded, and logs a warning. They are estimated again when the medium's parameters change, unless gradients of these
-      are enabled. The first shape keeps the plugin's id, the others have ``_1``, ``_2`` … added; the parameters belong to the
-      first one's medium.
+    - Contains every point of the band. Where the body is thick enough, its inside deeper than ``band_inside``
+      is left out.
+    - The mesh is where the performer is, and faces outward: it accepts no ``to_world`` and no
+      ``flip_normals``. To move it, set the ``offset`` of the medium.
+    - With ``layers``, the majorants are estimated from samples of the density. A check at other points raises
+      those that it finds exceeded, and logs a warning. They are estimated again when the medium's parameters
+      change, unless gradients of these are enabled. The first shape keeps the plugin's id, the others have
+      ``_1``, ``_2`` … added; the parameters belong to the first one's medium.
     - Two performers whose shells meet are not handled, as with other shapes that hold media in Mitsuba.
 
     .. tabs::
@@ -74,8 +77,12 @@ def make_shell(props: mi.Properties) -> mi.Object:
     if not 0 < cell < float("inf"):
         raise InputError("ndf_shell: cell", repr(cell), "a length above 0, in metres")
     if "to_world" in props:
-        raise InputError("ndf_shell: to_world", "a transformation", "none: the shell is where the performer is",
-                         "Move the performer by the medium's `offset`.")
+        raise InputError(
+            "ndf_shell: to_world",
+            "a transformation",
+            "none: the shell is where the performer is",
+            "Move the performer by the medium's `offset`.",
+        )
     if "flip_normals" in props:
         raise InputError("ndf_shell: flip_normals", str(props["flip_normals"]).lower(),
                          "none: the shell faces outward, as media need")
@@ -90,19 +97,29 @@ def make_shell(props: mi.Properties) -> mi.Object:
         raise InputError("ndf_shell: run", "nothing", "the run's folder, or an `ndf` medium as its interior")
     if field is not None and (frame != field.frame or run.path.resolve() != field.run.path.resolve()):
         raise InputError("ndf_shell: interior", f"a medium of {field.run.path}, frame {field.frame}",
-                         f"one of {run.path}, frame {frame}", "Leave out the shell's run and frame: it takes those of its medium.")
+                         f"one of {run.path}, frame "
+                         f"{frame}", "Leave out the shell's run and frame: it takes those of its medium.")
     offset = offset_of(run, props) if field is None or "offset" in props else field.offset
     if field is not None and (offset != field.offset).any():
-        raise InputError("ndf_shell: interior", f"a medium with the offset {field.offset.tolist()}",
-                         f"one with {offset.tolist()}", "Leave out the shell's offset: it takes that of its medium.")
+        raise InputError(
+            "ndf_shell: interior",
+            f"a medium with the offset {field.offset.tolist()}",
+            f"one with {offset.tolist()}",
+            "Leave out the shell's offset: it takes that of its medium.",
+        )
     bsdf = _bsdf(props)
     if layers == 0:
         preset = run.model.field.preset
-        vertices = mi.Float((run.poses.vertices[run.poses.index(frame)] + offset).ravel()) if field is None else field.vertices
+        vertices = (
+            mi.Float((run.poses.vertices[run.poses.index(frame)] + offset).ravel())
+            if field is None
+            else field.vertices
+        )
         shell = band_shell(run.model.surface, vertices, preset.band, cell, preset.band_inside)
         return make_mesh("ndf_shell", *shell, props=props)
     if field is None:
-        raise InputError("ndf_shell: layers", f"{layers} around no `ndf` medium", "an `ndf` medium as its interior")
+        raise InputError("ndf_shell: layers", f"{layers} around no `ndf` "
+                                              "medium", "an `ndf` medium as its interior")
     shells, media = field.nest(layers, cell)
     # A plugin makes one object. Mitsuba's own `merge` is one that stands for several shapes.
     group = mi.Properties("merge")

@@ -1,4 +1,5 @@
-"""Two ways to run layers on many samples: dense matrix products, and cooperative vectors with one sample a lane."""
+"""Two ways to run layers on many samples: dense matrix products, and cooperative vectors with one sample a
+lane."""
 
 from __future__ import annotations
 
@@ -56,14 +57,16 @@ class Batched:
         self._width = width
 
     def enter(self, *parts: Any) -> mi.TensorXf:
-        """Joins rows, with a row of ones below them. A layer's bias then is a column of its matrix, which costs the product next to
-        nothing; adding it to every row afterwards costs more than the product."""
+        """Joins rows, with a row of ones below them. A layer's bias then is a column of its matrix, which
+        costs the product next to nothing; adding it to every row afterwards costs more than the product."""
         parts = (*parts, [dr.full(mi.Float, 1.0, self._width)])
         arrays: list[Any] = []
         rows = 0
         for part in parts:
             if isinstance(part, list):
-                arrays += [p if dr.width(p) == self._width else p + dr.zeros(mi.Float, self._width) for p in part]
+                arrays += [
+                    p if dr.width(p) == self._width else p + dr.zeros(mi.Float, self._width) for p in part
+                ]
                 rows += len(part)
             else:
                 arrays.append(part.array)
@@ -119,7 +122,8 @@ class HalfFused(Fused):
     """As :class:`Fused`, in half precision.
 
     Attributes:
-        finite: whether every layer's output has been finite so far. An infinity stays one or becomes NaN in later layers.
+        finite: whether every layer's output has been finite so far. An infinity stays one or becomes NaN in
+            later layers.
     """
 
     def __init__(self, views: Views) -> None:

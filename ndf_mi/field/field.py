@@ -1,6 +1,7 @@
 """The neural field of NDF: pose features, deformation net, density and colour, on given coordinates.
 
-It knows nothing of meshes, scenes or files. Its input is a point (u*, v*, l*) of the unit cube, or other coordinates there.
+It knows nothing of meshes, scenes or files. Its input is a point (u*, v*, l*) of the unit cube, or other
+coordinates there.
 """
 
 from __future__ import annotations
@@ -56,20 +57,25 @@ class Field:
         """Random parameters to start training from; the same for the same seed."""
         rng = np.random.default_rng(seed)
         weights = mi.Float(initial_weights(self.layers, rng))
-        return FieldParameters(weights, None if self.encoding is None else mi.Float(self.encoding.initial(rng)))
+        return FieldParameters(
+            weights, None if self.encoding is None else mi.Float(self.encoding.initial(rng))
+        )
 
     def bind(self, pose: mi.Float, parameters: FieldParameters) -> BoundField:
-        """The field at one pose. Pose features are computed and folded into biases and matrices once for all samples.
+        """The field at one pose. Pose features are computed and folded into biases and matrices once for all
+        samples.
 
         Args:
-            pose: (3·J) axis-angles of the joints relative to their parents, in radians; the root's three are zero.
+            pose: (3·J) axis-angles of the joints relative to their parents, in radians; the root's three are
+                zero.
             parameters: as many as the architecture has; gradients flow to them.
         """
         return BoundField(self, pose, parameters)
 
 
 class BoundField:
-    """A :class:`Field` with parameters at one pose. :meth:`batched` and :meth:`fused` compute the same values.
+    """A :class:`Field` with parameters at one pose. :meth:`batched` and :meth:`fused` compute the same
+    values.
 
     Attributes:
         preset, majorant: the field's.
@@ -102,7 +108,8 @@ class BoundField:
         """Density and colour by dense matrix products over all samples, for evaluated code.
 
         Args:
-            u: coordinates of N points in the unit cube, as many arrays as the preset's `dimension`; every lane finite.
+            u: coordinates of N points in the unit cube, as many arrays as the preset's `dimension`; every
+                lane finite.
             d: N unit view directions in world space.
             n: N unit normals of the body's surface in world space, for presets that use them.
 
@@ -114,7 +121,8 @@ class BoundField:
     def fused(
         self, u: Sequence[mi.Float], d: mi.Vector3f, n: mi.Normal3f, active: mi.Bool | bool = True
     ) -> tuple[mi.Float, mi.Color3f]:
-        """As :meth:`batched`, by cooperative vectors, which may also be traced in symbolic code such as a medium's.
+        """As :meth:`batched`, by cooperative vectors, which may also be traced in symbolic code such as a
+        medium's.
 
         Needs :meth:`pack` beforehand, outside of symbolic code. σ is NaN where half precision has overflowed.
         """
@@ -127,7 +135,8 @@ class BoundField:
         return dr.select(run.finite, sigma, dr.nan), colour
 
     def density(self, u: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
-        """σ alone as :meth:`batched` returns it, detached and evaluated, by the faster form; for evaluated code.
+        """σ alone as :meth:`batched` returns it, detached and evaluated, by the faster form; for evaluated
+        code.
 
         Args:
             u: as for :meth:`batched`.
@@ -140,7 +149,10 @@ class BoundField:
                 sigma, _ = self.batched(u, some, mi.Normal3f(some))
             else:
                 if self._density_views is None:
-                    detached = {name: (dr.detach(weight), dr.detach(bias)) for name, (weight, bias) in self._tensors.items()}
+                    detached = {
+                        name: (dr.detach(weight), dr.detach(bias))
+                        for name, (weight, bias) in self._tensors.items()
+                    }
                     self._density_views = pack(detached)
                 sigma, _ = self._evaluate(Fused(self._density_views), u, some, mi.Normal3f(some), active)
             dr.eval(sigma)
@@ -150,9 +162,9 @@ class BoundField:
         """Lays the weights out for :meth:`fused`; attached, so that gradients reach the parameters.
 
         Args:
-            half: whether weights, features and sums of the layers are in half precision (11 bits from 6e-5 to 65,504, fewer below).
-                Encodings, the activations of density and colour, and results stay in single precision. None: only where the
-                active variant supports nothing else.
+            half: whether weights, features and sums of the layers are in half precision (11 bits from 6e-5 to
+                65,504, fewer below). Encodings, the activations of density and colour, and results stay in
+                single precision. None: only where the active variant supports nothing else.
         """
         if half is None:
             half = "single" not in variants.cooperative_precisions()
@@ -174,7 +186,12 @@ class BoundField:
         return dr.grad_enabled(list(self._tensors.values()), self._grid)
 
     def _evaluate(
-        self, run: Engine, u: Sequence[mi.Float], d: mi.Vector3f, n: mi.Normal3f, active: mi.Bool | bool = True
+        self,
+        run: Engine,
+        u: Sequence[mi.Float],
+        d: mi.Vector3f,
+        n: mi.Normal3f,
+        active: mi.Bool | bool = True,
     ) -> tuple[mi.Float, mi.Color3f]:
         p = self.preset
         u = list(u)
@@ -209,7 +226,8 @@ class BoundField:
         return sigma, self.colour(mi.Color3f(*run.rows(run.linear("colour_out", h))))
 
     def activation(self, z: mi.Float) -> mi.Float:
-        """σ in 1/m from the density network's output: the preset's activation, saturated; in [0, `density_limit`] for any z."""
+        """σ in 1/m from the density network's output: the preset's activation, saturated; in [0,
+        `density_limit`] for any z."""
         p = self.preset
         a = softplus(z + p.density_bias) if p.density_activation == "softplus" else dr.maximum(z, 0)
         return saturated(a * p.density_gain, p.density_limit)

@@ -12,17 +12,18 @@ from ndf_mi.field.presets import Preset
 
 @dataclass(frozen=True)
 class Layer:
-    """An affine layer. The pose features are the same for all samples. They come last among the inputs, so that their columns can
-    be folded into the bias once a pose.
+    """An affine layer. The pose features are the same for all samples. They come last among the inputs, so
+    that their columns can be folded into the bias once a pose.
 
     Attributes:
         name: see :func:`layout`.
         inputs: width of the inputs that change with the sample.
         pose: width of the pose features that are joined, or 0.
         outputs: width of the output.
-        offset: where the (outputs, inputs + pose) matrix starts in the flat vector, row by row. The bias follows it, and then the
-            products.
-        products: whether the pose features also mix matrices. An (outputs·inputs, pose) matrix holds one matrix a column.
+        offset: where the (outputs, inputs + pose) matrix starts in the flat vector, row by row. The bias
+            follows it, and then the products.
+        products: whether the pose features also mix matrices. An (outputs·inputs, pose) matrix holds one
+            matrix a column.
     """
 
     name: str
@@ -46,8 +47,8 @@ class Layer:
 def layout(preset: Preset, joints: int) -> dict[str, Layer]:
     """The layers of a preset for a body with `joints` joints, by name, in the order of the flat vector.
 
-    Names: ``pose0…`` (pose features), ``deform0…`` (D), ``density0…`` and ``density_out`` (M_σ), ``linear0…``, ``colour0…``
-    and ``colour_out`` (M_c).
+    Names: ``pose0…`` (pose features), ``deform0…`` (D), ``density0…`` and ``density_out`` (M_σ),
+    ``linear0…``, ``colour0…`` and ``colour_out`` (M_c).
     """
     layers: list[Layer] = []
 
@@ -90,8 +91,9 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
 
 
 def initial_weights(layers: dict[str, Layer], rng: np.random.Generator) -> np.ndarray:
-    """Untrained weights, float32: uniform in ±1/√(fan-in) for matrices and biases. D's last layer has a hundredth of that, so that
-    training starts from the undeformed projection. Products with the pose start at zero."""
+    """Untrained weights, float32: uniform in ±1/√(fan-in) for matrices and biases. D's last layer has a
+    hundredth of that, so that training starts from the undeformed projection. Products with the pose start at
+    zero."""
     parts = []
     for layer in layers.values():
         bound = 1.0 / np.sqrt(layer.inputs + layer.pose)

@@ -1,4 +1,5 @@
-"""A grid of where in (u, v, l) a field in training is dense, so that its empty parts need not be evaluated."""
+"""A grid of where in (u, v, l) a field in training is dense, so that its empty parts need not be
+evaluated."""
 
 from __future__ import annotations
 
@@ -11,10 +12,11 @@ _UNTIL_EMPTY = 150
 
 
 class Occupancy:
-    """A coarse grid over the unit cube of (u, v, l) with a decaying maximum of the densities seen in each cell, over all poses
-    (after Müller et al. 2022, who use world space).
+    """A coarse grid over the unit cube of (u, v, l) with a decaying maximum of the densities seen in each
+    cell, over all poses (after Müller et al. 2022, who use world space).
 
-    A random share p of the samples in empty cells is kept, so that a cell that becomes dense is noticed. Each of these counts 1/p
+    A random share p of the samples in empty cells is kept, so that a cell that becomes dense is noticed. Each
+    of these counts 1/p
     times, for those that are skipped: optical depths keep their mean, and thin fog still fades.
 
     Args:
@@ -24,8 +26,13 @@ class Occupancy:
         explore: share of the samples in empty cells that are kept.
     """
 
-    def __init__(self, threshold: float, resolution: tuple[int, int, int] = (128, 128, 24), decay: float = 0.99,
-                 explore: float = 0.125) -> None:
+    def __init__(
+        self,
+        threshold: float,
+        resolution: tuple[int, int, int] = (128, 128, 24),
+        decay: float = 0.99,
+        explore: float = 0.125,
+    ) -> None:
         self._threshold = threshold
         self._resolution = resolution
         self._decay = decay
@@ -36,12 +43,15 @@ class Occupancy:
         dr.make_opaque(self.values)
 
     def keep(self, u: mi.Point3f) -> tuple[mi.Bool, mi.Float]:
-        """Which points of the unit cube to evaluate, those in occupied cells and a random few of the others, and how many points
+        """Which points of the unit cube to evaluate, those in occupied cells and a random few of the others,
+        and how many points
         each then stands for: 1 in occupied cells, 1 / `explore` in the others."""
         with dr.suspend_grad():
             occupied = dr.gather(mi.Float, self.values, self._cell(u)) > self._threshold
             # The default of four rounds keeps 3 % too many of neighbouring numbers.
-            chance = mi.sample_tea_float32(dr.arange(mi.UInt32, dr.width(u)), dr.opaque(mi.UInt32, self._salt), 8)
+            chance = mi.sample_tea_float32(
+                dr.arange(mi.UInt32, dr.width(u)), dr.opaque(mi.UInt32, self._salt), 8
+            )
             return occupied | (chance < self.explore), dr.select(occupied, mi.Float(1.0), 1.0 / self.explore)
 
     def observe(self, u: mi.Point3f, sigma: mi.Float, active: mi.Bool) -> None:
@@ -59,7 +69,8 @@ class Occupancy:
         return float(dr.mean(dr.select(self.values > self._threshold, mi.Float(1), mi.Float(0)))[0])
 
     def restore(self, values: np.ndarray, step: int) -> None:
-        """Sets the cells' values and the number of steps observed; ValueError unless there are as many values as cells."""
+        """Sets the cells' values and the number of steps observed; ValueError unless there are as many values
+        as cells."""
         if values.shape != (int(np.prod(self._resolution)),):
             raise ValueError(f"{values.shape} occupancy values")
         self.values = mi.Float(values.astype(np.float32))

@@ -41,16 +41,21 @@ class FieldParameters:
 
 
 def matrices(weights: mi.Float, layer: Layer) -> tuple[mi.TensorXf, mi.TensorXf, mi.TensorXf | None]:
-    """A layer's matrix (outputs, inputs), bias (outputs, 1) and pose columns (outputs, pose) or None, attached to the weights."""
+    """A layer's matrix (outputs, inputs), bias (outputs, 1) and pose columns (outputs, pose) or None,
+    attached to the weights."""
     columns = layer.inputs + layer.pose
 
     def block(first: int, count: int) -> mi.TensorXf:
         index = dr.arange(mi.UInt32, layer.outputs * count)
         row = index // count
-        return mi.TensorXf(dr.gather(mi.Float, weights, layer.offset + row * columns + first + (index - row * count)),
-                           (layer.outputs, count))
+        return mi.TensorXf(
+            dr.gather(mi.Float, weights, layer.offset + row * columns + first + (index - row * count)),
+            (layer.outputs, count),
+        )
 
-    bias = dr.gather(mi.Float, weights, layer.offset + layer.outputs * columns + dr.arange(mi.UInt32, layer.outputs))
+    bias = dr.gather(
+        mi.Float, weights, layer.offset + layer.outputs * columns + dr.arange(mi.UInt32, layer.outputs)
+    )
     return (block(0, layer.inputs), mi.TensorXf(bias, (layer.outputs, 1)),
             block(layer.inputs, layer.pose) if layer.pose else None)
 

@@ -1,4 +1,5 @@
-"""The networks' architectures as data: `paper` as published, `fast` as we would choose it today, `tiny` for tests."""
+"""The networks' architectures as data: `paper` as published, `fast` as we would choose it today, `tiny` for
+tests."""
 
 from __future__ import annotations
 
@@ -15,8 +16,8 @@ from ndf_mi.options import read_options
 class Preset:
     """A field's architecture. Every entry is an option of ``ndf-mi optimise``.
 
-    Symbols follow the paper: u* is the projected point (u, v, l), or the alternative that `coordinates` names, in the unit cube;
-    ũ = u* + `deformation_scale`·D(u*, θ); γ is the frequency encoding.
+    Symbols follow the paper: u* is the projected point (u, v, l), or the alternative that `coordinates`
+    names, in the unit cube; ũ = u* + `deformation_scale`·D(u*, θ); γ is the frequency encoding.
     """
 
     name: str = "fast"
@@ -24,16 +25,17 @@ class Preset:
     """Half width δ_N of the band around the body, in metres."""
 
     band_inside: float = 0.03
-    """How far the band reaches into the body, in metres; at most `band`. Visible surfaces lie outside the skin, up to errors of the
-    fit."""
+    """How far the band reaches into the body, in metres; at most `band`. Visible surfaces lie outside the
+    skin, up to errors of the fit."""
 
     band_fade: float = 0.1
-    """Fraction of the band, at both its edges, over which the density fades smoothly to zero, so that the field is continuous; 0 for
-    the paper's hard edge."""
+    """Fraction of the band, at both its edges, over which the density fades smoothly to zero, so that the
+    field is continuous; 0 for the paper's hard edge."""
 
     coordinates: Literal["texel", "surface", "world"] = "texel"
-    """The networks' coordinates: `texel`, texture coordinates (u, v) of the closest point, and l; `surface`, the closest point on the
-    body at rest (x, y, z), which has no seams, and l; or `world`, the point itself (x, y, z), without projection."""
+    """The networks' coordinates: `texel`, texture coordinates (u, v) of the closest point, and l; `surface`,
+    the closest point on the body at rest (x, y, z), which has no seams, and l; or `world`, the point itself
+    (x, y, z), without projection."""
 
     distance: Literal["signed", "unsigned", "none"] = "signed"
     """How l enters the networks (not with `world`): with its sign, without it, or not at all."""
@@ -42,12 +44,14 @@ class Preset:
     """Factor on the candidate samples a ray: samples farther apart than the band is thick would miss it."""
 
     pose_layers: tuple[int, ...] = (64, 16)
-    """Widths of the pose network; the last is the number of pose features. Empty: nothing depends on the pose."""
+    """Widths of the pose network; the last is the number of pose features. Empty: nothing depends on the
+    pose."""
 
     pose_products: bool = False
-    """Whether the pose features f(θ) also mix matrices: where they join a layer, its matrix W becomes W + Σ_k f_k(θ)·W_k, once a
-    pose, at no cost a sample. The field then is a sum of fields, each as fine as the grid, with weights that depend on the pose.
-    Features that are only joined to the inputs, as in the paper, shift one field."""
+    """Whether the pose features f(θ) also mix matrices: where they join a layer, its matrix W becomes W + Σ_k
+    f_k(θ)·W_k, once a pose, at no cost a sample. The field then is a sum of fields, each as fine as the grid,
+    with weights that depend on the pose. Features that are only joined to the inputs, as in the paper, shift
+    one field."""
 
     deformation_layers: tuple[int, ...] = (32,)
     """Hidden widths of the deformation net D."""
@@ -71,7 +75,8 @@ class Preset:
     """Features at a cell's corner, an even number (`grid` only)."""
 
     grid_entries: int = 2**16
-    """Largest number of cell corners a level that the hash table holds, with `grid_features` numbers each (`grid` only)."""
+    """Largest number of cell corners a level that the hash table holds, with `grid_features` numbers each
+    (`grid` only)."""
 
     grid_base: int = 16
     grid_finest: int = 512
@@ -87,7 +92,8 @@ class Preset:
     """After this many layers γ(ũ) and the pose features are joined again; 0 for never."""
 
     feature_width: int = 16
-    """Width of the features that the density network passes to the colour network; 0 passes its last hidden layer unchanged."""
+    """Width of the features that the density network passes to the colour network; 0 passes its last hidden
+    layer unchanged."""
 
     colour_linear: tuple[int, ...] = ()
     """Linear layers between the density network and the view direction; the pose joins at the second."""
@@ -96,28 +102,31 @@ class Preset:
     """Hidden widths of the colour network M_c after the view direction has joined."""
 
     direction_octaves: int = 2
-    """Octaves of γ on the view direction; −1 leaves it out, so that colours are the same from all directions."""
+    """Octaves of γ on the view direction; −1 leaves it out, so that colours are the same from all
+    directions."""
 
     direction: Literal["view", "mirrored"] = "view"
-    """The direction that enters: the view direction as in the paper, or its reflection by the body's normal, along which highlights
-    stay fixed as the viewer and the body turn (Verbin et al. 2022, *Ref-NeRF*)."""
+    """The direction that enters: the view direction as in the paper, or its reflection by the body's normal,
+    along which highlights stay fixed as the viewer and the body turn (Verbin et al. 2022, *Ref-NeRF*)."""
 
     normal_octaves: int = -1
-    """Octaves of γ on the world-space normal of the body's surface, which enters the colour network with the view direction, so that
-    lighting that is fixed in the world need not be learnt from poses; −1 leaves it out."""
+    """Octaves of γ on the world-space normal of the body's surface, which enters the colour network with the
+    view direction, so that lighting that is fixed in the world need not be learnt from poses; −1 leaves it
+    out."""
 
     density_activation: Literal["relu", "softplus"] = "softplus"
     """Shape of the density's activation below saturation."""
 
     density_limit: float = 500.0
-    """Least upper bound of the density in 1/m: σ = limit·(1 − exp(−a/limit)), where a is the activation; far below the limit, σ
-    equals a. It gives a majorant by construction."""
+    """Least upper bound of the density in 1/m: σ = limit·(1 − exp(−a/limit)), where a is the activation; far
+    below the limit, σ equals a. It gives a majorant by construction."""
 
     density_gain: float = 100.0
     """Factor from the network's output to the activation in 1/m."""
 
     density_bias: float = -4.0
-    """Added to the network's output before the activation (`softplus` only); it decides how thin the field starts."""
+    """Added to the network's output before the activation (`softplus` only); it decides how thin the field
+    starts."""
 
     def __post_init__(self) -> None:
         def check(good: bool, key: str, expected: str) -> None:
@@ -128,31 +137,55 @@ class Preset:
             check(0 < getattr(self, key) < float("inf"), key, "a number above 0")
         for key in ("density_bias", "deformation_scale"):
             check(abs(getattr(self, key)) < float("inf"), key, "a number")
-        check(0 < self.band_inside <= self.band, "band_inside", f"a number above 0, at most the band's {self.band}")
+        check(
+            0 < self.band_inside <= self.band,
+            "band_inside",
+            f"a number above 0, at most the band's {self.band}",
+        )
         check(0 <= self.band_fade < 1, "band_fade", "a fraction in [0, 1)")
         for key in ("deformation_octaves", "octaves", "feature_width"):
             check(0 <= getattr(self, key) <= 1024, key, "a whole number from 0 to 1024")
         for key in ("pose_layers", "deformation_layers", "density_layers", "colour_layers", "colour_linear"):
             widths = getattr(self, key)
             needed = key == "density_layers"
-            check(all(type(w) is int and w > 0 for w in widths) and bool(widths or not needed), key, "a list of widths above 0")
+            check(
+                all(type(w) is int and w > 0 for w in widths) and bool(widths or not needed),
+                key,
+                "a list of widths above 0",
+            )
         check(self.coordinates in ("texel", "surface", "world"), "coordinates", "texel, surface or world")
         check(self.distance in ("signed", "unsigned", "none"), "distance", "signed, unsigned or none")
         check(self.sample_factor >= 1, "sample_factor", "a whole number above 0")
-        check(len(self.colour_linear) != 1, "colour_linear", "no layers, or at least two: the pose joins at the second")
+        check(
+            len(self.colour_linear) != 1,
+            "colour_linear",
+            "no layers, or at least two: the pose joins at the second",
+        )
         for key in ("normal_octaves", "direction_octaves"):
             check(-1 <= getattr(self, key) <= 1024, key, "-1, or a whole number up to 1024")
         check(self.direction in ("view", "mirrored"), "direction", "view or mirrored")
-        check(self.direction == "view" or self.direction_octaves >= 0, "direction", "view, or direction_octaves from 0 on")
+        check(
+            self.direction == "view" or self.direction_octaves >= 0,
+            "direction",
+            "view, or direction_octaves from 0 on",
+        )
         check(0 <= self.density_skip < len(self.density_layers), "density_skip",
               f"0, or a number below the {len(self.density_layers)} density layers")
         check(self.encoding in ("frequency", "grid"), "encoding", "frequency or grid")
         check(self.density_activation in ("relu", "softplus"), "density_activation", "relu or softplus")
         check(2 <= self.grid_levels <= 32, "grid_levels", "a whole number from 2 to 32")
         check(self.grid_features in (2, 4, 8), "grid_features", "2, 4 or 8")
-        check(self.grid_entries > 0 and self.grid_entries % self.grid_features == 0, "grid_entries", "a multiple of grid_features")
+        check(
+            self.grid_entries > 0 and self.grid_entries % self.grid_features == 0,
+            "grid_entries",
+            "a multiple of grid_features",
+        )
         check(self.grid_base >= 2, "grid_base", "a whole number above 1")
-        check(self.grid_finest > self.grid_base, "grid_finest", f"a whole number above grid_base, {self.grid_base}")
+        check(
+            self.grid_finest > self.grid_base,
+            "grid_finest",
+            f"a whole number above grid_base, {self.grid_base}",
+        )
 
     @property
     def dimension(self) -> int:
@@ -160,8 +193,8 @@ class Preset:
         return 4 if self.coordinates == "surface" else 3
 
     def to_dict(self) -> dict[str, Any]:
-        """The options as JSON values. Options that older files lack are left out at their defaults, so that digests of older presets
-        stay the same."""
+        """The options as JSON values. Options that older files lack are left out at their defaults, so that
+        digests of older presets stay the same."""
         values = {k: list(v) if isinstance(v, tuple) else v for k, v in dataclasses.asdict(self).items()}
         return {k: v for k, v in values.items() if k not in _LATER or v != _LATER[k]}
 
@@ -175,17 +208,45 @@ class Preset:
 _LATER: dict[str, Any] = {"direction": "view", "pose_products": False}
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset(normal_octaves=1, direction_octaves=-1, pose_products=True, grid_features=4, grid_entries=2**18),
+    "fast": Preset(
+        normal_octaves=1, direction_octaves=-1, pose_products=True, grid_features=4, grid_entries=2**18
+    ),
     "tiny": Preset(
-        name="tiny", pose_layers=(8, 4), pose_products=True, deformation_layers=(8,), deformation_octaves=2, grid_levels=4,
-        grid_entries=2**10, grid_base=8, grid_finest=32, density_layers=(16,), feature_width=8, colour_layers=(16,), direction_octaves=1,
+        name="tiny",
+        pose_layers=(8, 4),
+        pose_products=True,
+        deformation_layers=(8,),
+        deformation_octaves=2,
+        grid_levels=4,
+        grid_entries=2**10,
+        grid_base=8,
+        grid_finest=32,
+        density_layers=(16,),
+        feature_width=8,
+        colour_layers=(16,),
+        direction_octaves=1,
         normal_octaves=0,
     ),
     "paper": Preset(
-        name="paper", pose_layers=(256, 128), deformation_layers=(128,), deformation_octaves=10, deformation_scale=0.001,
-        encoding="frequency", octaves=10, density_layers=(256,) * 7, density_skip=5, feature_width=0,
-        colour_linear=(256, 256), colour_layers=(128,), direction_octaves=4, density_activation="relu",
-        density_gain=1.0, density_bias=0.0, density_limit=10000.0, band_inside=0.08, band_fade=0.0,
+        name="paper",
+        pose_layers=(256, 128),
+        deformation_layers=(128,),
+        deformation_octaves=10,
+        deformation_scale=0.001,
+        encoding="frequency",
+        octaves=10,
+        density_layers=(256,) * 7,
+        density_skip=5,
+        feature_width=0,
+        colour_linear=(256, 256),
+        colour_layers=(128,),
+        direction_octaves=4,
+        density_activation="relu",
+        density_gain=1.0,
+        density_bias=0.0,
+        density_limit=10000.0,
+        band_inside=0.08,
+        band_fade=0.0,
     ),
 }
 

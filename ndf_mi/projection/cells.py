@@ -1,4 +1,5 @@
-"""A coarse grid over the band's box: which cells the band can touch, and where in the tree their searches begin."""
+"""A coarse grid over the band's box: which cells the band can touch, and where in the tree their searches
+begin."""
 
 from __future__ import annotations
 
@@ -21,9 +22,10 @@ SLACK = 0.2
 class Cells:
     """Cells of a quarter of the band over the box [low, high].
 
-    Every cell that a point of the band can lie in stores a leaf that is almost the closest to its centre, and which
-    parts of the tree can hold a closer one for any point of the cell (:func:`ndf_mi.projection.search.pending`). So
-    searches begin with a good bound and skip what the cell rules out.
+    Every cell that a point of the band can lie in stores a leaf that is almost the closest to its centre, and
+    which parts of the tree can hold a closer one for any point of the cell
+    (:func:`ndf_mi.projection.search.pending`). So searches begin with a good bound and skip what the cell
+    rules out.
 
     Args:
         low, high: (3,) float64, the padded box of the band, metres.
@@ -60,7 +62,8 @@ class Cells:
         dr.eval(self._rank, self._node, self._trail)
 
     def locate(self, x: mi.Point3f) -> tuple[mi.UInt32, mi.Bool]:
-        """The number of the cell of x, below ``count``, and whether there is one: blocks off the band have none."""
+        """The number of the cell of x, below ``count``, and whether there is one: blocks off the band have
+        none."""
         at = (x - self._low) * self._per_metre
         inside = dr.all((at >= 0) & (at < BLOCK * mi.Vector3f(self._blocks)))
         cell = mi.Point3u(dr.select(inside, at, 0))
@@ -71,7 +74,8 @@ class Cells:
         return (rank - 1) * BLOCK**3 + local.x + BLOCK * (local.y + BLOCK * local.z), inside
 
     def start(self, cell: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
-        """Node and trail with which a search from the cell begins; node 0 where the band does not touch the cell."""
+        """Node and trail with which a search from the cell begins; node 0 where the band does not touch the
+        cell."""
         return dr.gather(mi.UInt32, self._node, cell, active), dr.gather(mi.UInt32, self._trail, cell, active)
 
     def may_contain(self, x: mi.Point3f) -> mi.Bool:
@@ -81,7 +85,9 @@ class Cells:
 
     def _block_corner(self, block: mi.UInt32) -> mi.Point3f:
         row = block // self._blocks.x
-        return mi.Point3f(mi.Point3u(block - row * self._blocks.x, row % self._blocks.y, row // self._blocks.y))
+        return mi.Point3f(
+            mi.Point3u(block - row * self._blocks.x, row % self._blocks.y, row // self._blocks.y)
+        )
 
     def _begin(
         self,

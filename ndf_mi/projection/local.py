@@ -1,4 +1,5 @@
-"""The closest point on a given triangle in closed form, attached: gradients flow to the query and to the vertices."""
+"""The closest point on a given triangle in closed form, attached: gradients flow to the query and to the
+vertices."""
 
 from __future__ import annotations
 
@@ -36,12 +37,12 @@ def _guarded(value: mi.Float, least: float) -> mi.Float:
 def closest_on_triangle(x: mi.Point3f, v0: mi.Point3f, v1: mi.Point3f, v2: mi.Point3f) -> Local:
     """Projects ``x`` onto the triangle (v0, v1, v2).
 
-    The Voronoi region of x is found first (Ericson, *Real-Time Collision Detection*, 5.1.5) from detached values; then
-    the weights are written for that region. On the face they follow from the parts of the second edge and of x that are
-    orthogonal to the first edge (Gram and Schmidt: the 2 × 2 normal equations would lose twice as many digits in a thin
-    triangle). On an edge they are a quotient of dot products; at a corner they are constants. A triangle without area
-    (a sine below 1e-6 at v0) has no face region, and an edge without length has no interior, so that every value and
-    gradient stays finite.
+    The Voronoi region of x is found first (Ericson, *Real-Time Collision Detection*, 5.1.5) from detached
+    values; then the weights are written for that region. On the face they follow from the parts of the second
+    edge and of x that are orthogonal to the first edge (Gram and Schmidt: the 2 × 2 normal equations would
+    lose twice as many digits in a thin triangle). On an edge they are a quotient of dot products; at a corner
+    they are constants. A triangle without area (a sine below 1e-6 at v0) has no face region, and an edge
+    without length has no interior, so that every value and gradient stays finite.
     """
     e1, e2, q = v1 - v0, v2 - v0, x - v0
     e3 = v2 - v1

@@ -25,13 +25,14 @@ _ROUNDING = 1e-6
 
 @dataclass
 class Projection:
-    """P_θ(x) = (u*, v*, l*) and the geometry behind it. Finite in every lane; undefined where `valid` is false.
+    """P_θ(x) = (u*, v*, l*) and the geometry behind it. Finite in every lane; undefined where `valid` is
+    false.
 
     Attributes:
         uv: texture coordinates of the closest point, attached.
-        l: signed distance, metres, negative inside. ∂l/∂x is the direction of steepest ascent. On the surface itself
-            it is the normal; on edges and corners, the pseudonormal or the normal of an adjacent face. ∂l/∂vertices
-            is that of the closest point's own triangle. First derivatives only.
+        l: signed distance, metres, negative inside. ∂l/∂x is the direction of steepest ascent. On the surface
+            itself it is the normal; on edges and corners, the pseudonormal or the normal of an adjacent face.
+            ∂l/∂vertices is that of the closest point's own triangle. First derivatives only.
         triangle: number of the closest triangle; 0 where not valid.
         barycentric: weights of its corners, attached.
         point: the closest point, world, attached.
@@ -63,8 +64,8 @@ class PosedSurface:
     Raises:
         InputError: the number of vertices differs, one is not finite, or the band is not positive.
 
-    All queries work in evaluated code, in symbolic loops and inside plugins' methods, as they use no local memory. No
-    size that differs between poses enters a kernel as a constant.
+    All queries work in evaluated code, in symbolic loops and inside plugins' methods, as they use no local
+    memory. No size that differs between poses enters a kernel as a constant.
     """
 
     def __init__(self, surface: Surface, vertices: mi.Float, band: float) -> None:
@@ -84,7 +85,9 @@ class PosedSurface:
             pad = self.band + 1e-3 * self.band + 1e-6 * float(np.abs(positions).max())
             # Opaque, or another band would mean another kernel.
             self._delta = dr.opaque(mi.Float, self.band)
-            self.bbox = mi.BoundingBox3f(mi.Point3f(*(low - pad).tolist()), mi.Point3f(*(high + pad).tolist()))
+            self.bbox = mi.BoundingBox3f(
+                mi.Point3f(*(low - pad).tolist()), mi.Point3f(*(high + pad).tolist())
+            )
             self._frame = Frame(low, high, self.band)
             self._boxes = refit(surface, detached, self._frame)
             self._face_normals = face_normals(surface, detached)
@@ -97,7 +100,8 @@ class PosedSurface:
             return self._cells.may_contain(mi.Point3f(dr.detach(x)))
 
     def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> mi.UInt32:
-        """Number of the closest triangle, detached; 0 in lanes that are inactive or farther away than the band."""
+        """Number of the closest triangle, detached; 0 in lanes that are inactive or farther away than the
+        band."""
         return self._closest(x, active)[0]
 
     def project(self, x: mi.Point3f, active: mi.Bool | bool = True) -> Projection:
@@ -116,7 +120,8 @@ class PosedSurface:
         weights = local.barycentric
         with dr.suspend_grad():
             normal, l_value, slope = self._sign(triangle, corner, local, active)
-        # The closest point minimises over its weights, so that their change adds nothing to that of l (envelope theorem).
+        # The closest point minimises over its weights, so that their change adds nothing to that of l
+        # (envelope theorem).
         fixed = dr.detach(weights)
         towards = (x - v0) * fixed.x + (x - v1) * fixed.y + (x - v2) * fixed.z
         l = dr.replace_grad(l_value, dr.dot(slope, towards))
@@ -134,9 +139,9 @@ class PosedSurface:
         local: Local,
         active: mi.Bool,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Vector3f]:
-        """Pseudonormal, signed distance and its gradient (Bærentzen and Aanæs, "Signed distance computation using the
-        angle weighted pseudonormal", 2005). Where rounding hides the direction to an edge or a corner, the gradient is
-        the pseudonormal."""
+        """Pseudonormal, signed distance and its gradient (Bærentzen and Aanæs, "Signed distance computation
+        using the angle weighted pseudonormal", 2005). Where rounding hides the direction to an edge or a
+        corner, the gradient is the pseudonormal."""
         offset, feature = dr.detach(local.offset), local.feature
         own = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, triangle, active))
         on_edge = (feature >= EDGE_0) & (feature <= EDGE_2)
@@ -144,14 +149,18 @@ class PosedSurface:
         edge = dr.select(on_edge, feature - EDGE_0, 0)
         across = dr.gather(mi.UInt32, self.surface.neighbours, 3 * triangle + edge, active & on_edge)
         other = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, across, active & on_edge))
-        vertex = dr.select(feature == CORNER_0, corner[0], dr.select(feature == CORNER_1, corner[1], corner[2]))
+        vertex = dr.select(
+            feature == CORNER_0, corner[0], dr.select(feature == CORNER_1, corner[1], corner[2])
+        )
         around = mi.Vector3f(dr.gather(mi.Point3f, self._vertex_normals, vertex, active & on_corner))
         normal = dr.select(on_edge, unit(own + other, own), dr.select(on_corner, around, own))
         distance = dr.norm(offset)
         sign = dr.select(dr.dot(offset, normal) < 0, mi.Float(-1), mi.Float(1))
         # The offset is known to the edges' length times 6e-8. A triangle without a normal has nothing else.
         directed = (dr.squared_norm(offset) > _ROUNDING**2 * local.size2) | (dr.squared_norm(normal) == 0)
-        slope = dr.select(on_edge | on_corner, dr.select(directed, unit(offset, sign * normal) * sign, normal), own)
+        slope = dr.select(
+            on_edge | on_corner, dr.select(directed, unit(offset, sign * normal) * sign, normal), own
+        )
         return normal, sign * distance, slope
 
     def _closest(self, x: mi.Point3f, active: mi.Bool | bool) -> tuple[mi.UInt32, mi.Bool]:
@@ -174,7 +183,8 @@ class PosedSurface:
         return closest_pair(self._boxes, self._frame.to_units(x), bound, node, trail)[1]
 
     def _search_sorted(self, x: mi.Point3f, cell: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """As :meth:`_search`, with the queries sorted by cell, so that neighbouring lanes walk the same nodes.
+        """As :meth:`_search`, with the queries sorted by cell, so that neighbouring lanes walk the same
+        nodes.
 
         A counting sort. The order within a cell is undefined; results do not depend on it.
         """
@@ -185,9 +195,13 @@ class PosedSurface:
         begin = dr.prefix_sum(histogram)
         none = 0xFFFFFFFF
         order = dr.full(mi.UInt32, none, count)
-        dr.scatter(order, dr.arange(mi.UInt32, count), dr.gather(mi.UInt32, begin, cell, active) + rank, active)
+        dr.scatter(
+            order, dr.arange(mi.UInt32, count), dr.gather(mi.UInt32, begin, cell, active) + rank, active
+        )
         some = order != none
-        found = self._search(dr.gather(mi.Point3f, x, order, some), dr.gather(mi.UInt32, cell, order, some), some)
+        found = self._search(
+            dr.gather(mi.Point3f, x, order, some), dr.gather(mi.UInt32, cell, order, some), some
+        )
         result = dr.full(mi.UInt32, 2 * self.surface.leaves, count)
         dr.scatter(result, found, order, some)
         return result

@@ -59,7 +59,8 @@ def refit(surface: Surface, vertices: mi.Float, frame: Frame) -> Boxes:
 
 
 def _merge(nodes: mi.UInt32, words: list[mi.UInt32], first: mi.UInt32, height: int) -> list[mi.UInt32]:
-    """Writes the nodes of ``height`` levels, given the boxes of the level below; returns the boxes of the highest.
+    """Writes the nodes of ``height`` levels, given the boxes of the level below; returns the boxes of the
+    highest.
 
     Each lane merges one node of the highest level, whose first node is ``first``, and the nodes below it.
     """

@@ -1,4 +1,5 @@
-"""The search for the closest triangle: a complete binary tree walked without a stack, in evaluated and symbolic code alike.
+"""The search for the closest triangle: a complete binary tree walked without a stack, in evaluated and
+symbolic code alike.
 
 Lengths are in the tree's own units (:class:`ndf_mi.projection.refit.Frame`). Nothing here is differentiated.
 """
@@ -11,8 +12,8 @@ import drjit as dr
 import mitsuba as mi
 
 WORDS = 8
-"""Words of an internal node: three words of (upper bound << 16) | lower bound, one an axis, for each of its two children.
-Two stay empty, as aligned words are read four at a time."""
+"""Words of an internal node: three words of (upper bound << 16) | lower bound, one an axis, for each of its two
+children. Two stay empty, as aligned words are read four at a time."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class Boxes:
 
     Attributes:
         nodes: (leaves * 8) words; those of node n, root 1, children 2n and 2n + 1, from 8 n on.
-        corners: (leaves * 12) coordinates of the leaves' vertices a, b, c, d for triangles (a, b, c) and (a, c, d).
+        corners: (leaves * 12) coordinates of the leaves' vertices a, b, c, d for triangles (a, b, c) and (a,
+            c, d).
         depth: leaf i is node ``leaves + i`` with ``leaves = 2 ** depth``.
     """
 
@@ -72,7 +74,8 @@ def _segment(q: mi.Vector3f, edge: mi.Vector3f, along: mi.Float, length2: mi.Flo
 
 
 def pair_distance2(corners: list[mi.Float], q: mi.Point3f) -> tuple[mi.Float, mi.Float]:
-    """Squared distances from ``q`` to the triangles (a, b, c) and (a, c, d), whose 12 coordinates are ``corners``."""
+    """Squared distances from ``q`` to the triangles (a, b, c) and (a, c, d), whose 12 coordinates are
+    ``corners``."""
     a, b, c, d = (mi.Vector3f(*corners[3 * i : 3 * i + 3]) for i in range(4))
     q, b, c, d = mi.Vector3f(q) - a, b - a, c - a, d - a
     qc, cc = dr.dot(q, c), dr.dot(c, c)
@@ -118,22 +121,25 @@ def _pop(node: mi.UInt32, trail: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
 def closest_pair(
     boxes: Boxes, q: mi.Point3f, bound2: mi.Float, node: mi.UInt32, trail: mi.UInt32, slack: float = 0
 ) -> tuple[mi.Float, mi.UInt32]:
-    """Walks the tree from ``node``, the nearer child first. As the tree is complete, pending siblings are bits of a word.
+    """Walks the tree from ``node``, the nearer child first. As the tree is complete, pending siblings are
+    bits of a word.
 
-    After Áfra and Szirmay-Kalos, "Stackless Multi-BVH Traversal for CPU, MIC and GPU Ray Tracing" (2014), for distances.
+    After Áfra and Szirmay-Kalos, "Stackless Multi-BVH Traversal for CPU, MIC and GPU Ray Tracing" (2014), for
+    distances.
 
     Args:
         boxes: the tree.
         q: the queries.
         bound2: squared distance beyond which nothing is searched.
-        node: where to begin: the root, or a leaf that is likely to be close, which is tested first. 0 in lanes without
-            a query.
+        node: where to begin: the root, or a leaf that is likely to be close, which is tested first. 0 in
+            lanes without a query.
         trail: bit i is set where the sibling of ``node >> i`` is to be visited as well.
-        slack: s > 0 accepts a triangle up to 1 + s times as far as the closest one, but never misses one within the bound.
+        slack: s > 0 accepts a triangle up to 1 + s times as far as the closest one, but never misses one
+            within the bound.
 
     Returns:
-        the squared distance of the best triangle, or ``bound2`` where none is within; and its number 2 · leaf + (0 or 1),
-        or 2 · leaves where there is none.
+        the squared distance of the best triangle, or ``bound2`` where none is within; and its number 2 · leaf
+        + (0 or 1), or 2 · leaves where there is none.
     """
     leaves = boxes.leaves
 
@@ -166,7 +172,8 @@ def closest_pair(
 
 
 def pending(boxes: Boxes, q: mi.Point3f, reach: mi.Float, leaf: mi.UInt32, bound: mi.Float) -> mi.UInt32:
-    """The trail with which every search from the cube of half side ``reach`` about ``q`` can begin at ``leaf``.
+    """The trail with which every search from the cube of half side ``reach`` about ``q`` can begin at
+    ``leaf``.
 
     Bit i is set where the sibling of the leaf's ancestor i levels up is within ``bound`` of the cube.
     """

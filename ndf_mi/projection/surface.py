@@ -11,7 +11,8 @@ from ndf_mi.projection.topology import build_tree, half_edges
 
 
 def aligned(array: mi.Float | mi.UInt32) -> mi.Float | mi.UInt32:
-    """A copy in Dr.Jit's own memory, aligned so that several adjacent values can be read at once; numpy's is not."""
+    """A copy in Dr.Jit's own memory, aligned so that several adjacent values can be read at once; numpy's is
+    not."""
     array = dr.gather(type(array), array, dr.arange(mi.UInt32, dr.width(array)))
     dr.eval(array)
     return array
@@ -23,7 +24,8 @@ class Surface:
     Args:
         faces: (F, 3) integers into the vertices, counter-clockwise seen from outside.
         uv: (U, 2) texture coordinates.
-        uv_faces: (F, 3) integers into ``uv``: texture coordinates belong to corners, so that seams cost nothing.
+        uv_faces: (F, 3) integers into ``uv``: texture coordinates belong to corners, so that seams cost
+            nothing.
         reference_vertices: (V, 3) any usual pose, metres; the tree's topology is chosen for it.
 
     Attributes:
@@ -37,15 +39,20 @@ class Surface:
     Raises:
         InputError: a shape, an index or a value is not as above.
 
-    The mesh may have boundaries, and edges that more than two triangles share; there the sign of the distance is that
-    of the triangle's own plane. Needs an active variant.
+    The mesh may have boundaries, and edges that more than two triangles share; there the sign of the distance
+    is that of the triangle's own plane. Needs an active variant.
     """
 
     def __init__(
-        self, faces: np.ndarray, uv: np.ndarray | None, uv_faces: np.ndarray | None, reference_vertices: np.ndarray
+        self,
+        faces: np.ndarray,
+        uv: np.ndarray | None,
+        uv_faces: np.ndarray | None,
+        reference_vertices: np.ndarray,
     ) -> None:
         if uv is None or uv_faces is None:
-            raise InputError("uv", "a mesh without texture coordinates", "uv and uv_faces", "Give the mesh an atlas.")
+            raise InputError("uv", "a mesh without texture "
+                                   "coordinates", "uv and uv_faces", "Give the mesh an atlas.")
         vertices = np.asarray(reference_vertices, np.float64)
         if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
             raise InputError("reference_vertices", f"shape {vertices.shape}", "(V, 3) finite numbers")
@@ -83,7 +90,8 @@ def _index(array: np.ndarray) -> mi.UInt32:
 def _checked_faces(name: str, faces: np.ndarray, count: int) -> np.ndarray:
     array = np.asarray(faces)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array) or not np.issubdtype(array.dtype, np.integer):
-        raise InputError(name, f"shape {array.shape} of {array.dtype}", "(F, 3) integers, at least one triangle")
+        raise InputError(name, f"shape {array.shape} of "
+                               f"{array.dtype}", "(F, 3) integers, at least one triangle")
     array = array.astype(np.int64)
     if array.min() < 0 or array.max() >= count:
         raise InputError(name, f"indices from {array.min()} to {array.max()}", f"from 0 to {count - 1}")

@@ -9,15 +9,18 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Tree:
-    """A complete binary tree over pairs of adjacent triangles, in heap order (root 1, children 2n and 2n + 1).
+    """A complete binary tree over pairs of adjacent triangles, in heap order (root 1, children 2n and 2n +
+    1).
 
-    Leaf slot ``i`` is node ``leaves + i``. A slot past the number of pairs repeats another pair and is not ``occupied``.
+    Leaf slot ``i`` is node ``leaves + i``. A slot past the number of pairs repeats another pair and is not
+    ``occupied``.
 
     Attributes:
         depth: levels below the root; there are ``2 ** depth`` leaves, and at least one level.
-        corners: (leaves, 4) uint32, vertices a, b, c, d of the two triangles (a, b, c) and (a, c, d); a triangle without
-            a partner has d = c.
-        triangles: (leaves, 2) uint32, the mesh's triangles that these are; the same one twice without a partner.
+        corners: (leaves, 4) uint32, vertices a, b, c, d of the two triangles (a, b, c) and (a, c, d); a
+            triangle without a partner has d = c.
+        triangles: (leaves, 2) uint32, the mesh's triangles that these are; the same one twice without a
+            partner.
         occupied: (leaves,) bool.
     """
 
@@ -36,11 +39,14 @@ def half_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Neighbours across edges: for (F, 3) faces, edge k runs from corner k to corner k + 1.
 
     Returns:
-        (F, 3) int64 opposite triangle and (F, 3) int64 the number of the edge there; -1 at a boundary and where more
-        than two triangles share the edge.
+        (F, 3) int64 opposite triangle and (F, 3) int64 the number of the edge there; -1 at a boundary and
+        where more than two triangles share the edge.
     """
     start, end = faces, np.roll(faces, -1, axis=1)
-    low, high = np.minimum(start, end).ravel().astype(np.int64), np.maximum(start, end).ravel().astype(np.int64)
+    low, high = (
+        np.minimum(start, end).ravel().astype(np.int64),
+        np.maximum(start, end).ravel().astype(np.int64),
+    )
     key = low * (int(faces.max()) + 1) + high
     order = np.argsort(key, kind="stable")
     _, first, count = np.unique(key[order], return_index=True, return_counts=True)
@@ -85,7 +91,8 @@ def pair_triangles(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray,
 
 
 def build_tree(vertices: np.ndarray, faces: np.ndarray) -> Tree:
-    """A balanced tree of the pairs, split at the median along the longest side of the boxes of their centres."""
+    """A balanced tree of the pairs, split at the median along the longest side of the boxes of their
+    centres."""
     corners, triangles = pair_triangles(vertices, faces)
     count = len(corners)
     depth = max(1, int(np.ceil(np.log2(count))))

@@ -32,7 +32,9 @@ class NodeSamples:
         with dr.suspend_grad():
             nodes = dr.zeros(mi.Float, 4 * count)
             for channel, value in enumerate(self.values):
-                dr.scatter(nodes, dr.detach(value), 4 * self.index + channel, self.real, mode=dr.ReduceMode.Permute)
+                dr.scatter(
+                    nodes, dr.detach(value), 4 * self.index + channel, self.real, mode=dr.ReduceMode.Permute
+                )
             return nodes
 
 
@@ -55,11 +57,15 @@ class Baked:
         product of `adjoint`, the derivatives of some function in `nodes`."""
         samples, total = self.samples, mi.Float(0.0)
         for channel, value in enumerate(samples.values):
-            total = total + dr.sum(value * dr.gather(mi.Float, adjoint, 4 * samples.index + channel, samples.real))
+            total = total + dr.sum(
+                value * dr.gather(mi.Float, adjoint, 4 * samples.index + channel, samples.real)
+            )
         return total
 
 
-def sample_nodes(volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], candidates: mi.Bool) -> NodeSamples:
+def sample_nodes(
+    volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], candidates: mi.Bool
+) -> NodeSamples:
     """Evaluates a field at those candidate nodes that lie in it. Colours must not depend on the view
     direction.
 
@@ -68,7 +74,9 @@ def sample_nodes(volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], can
         candidates: whether each node may lie in the field, one lane a node.
     """
     with dr.suspend_grad():
-        chosen, real, _ = compact(candidates & volume.may_contain(at(dr.arange(mi.UInt32, dr.width(candidates)))))
+        chosen, real, _ = compact(
+            candidates & volume.may_contain(at(dr.arange(mi.UInt32, dr.width(candidates))))
+        )
         located = volume.locate(at(chosen), real)
         located.valid &= real
         dr.eval(located)

@@ -10,18 +10,18 @@ import mitsuba as mi
 from ndf_mi.run import Run
 
 _TAKEN_FOR_ALBEDO = (
-    "its colours hold the light of its capture, and the scene's lights are added to it. Use `ndf_path` or `ndf_quadrature`, or "
-    "train with --integrator prbvolpath"
+    "its colours hold the light of its capture, and the scene's lights are added to it. Use `ndf_path` or "
+    "`ndf_quadrature`, or train with --integrator prbvolpath"
 )
 _TAKEN_FOR_LIGHT = (
-    "its colours are albedos, trained through scattering, and are shown as if they were light. Use `volpath` and lights, or "
-    "`ndf-mi relight`"
+    "its colours are albedos, trained through scattering, and are shown as if they were light. Use "
+    "`volpath` and lights, or `ndf-mi relight`"
 )
 
 
 def misread(run: Run, scattering: bool) -> str | None:
-    """Why a run's colours should not be shown as albedos, if `scattering`, or as light; None where they can be, or where the run
-    does not record how it was trained."""
+    """Why a run's colours should not be shown as albedos, if `scattering`, or as light; None where they can
+    be, or where the run does not record how it was trained."""
     if run.colours == ("light" if scattering else "albedo"):
         return _TAKEN_FOR_ALBEDO if scattering else _TAKEN_FOR_LIGHT
     return None

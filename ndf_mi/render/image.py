@@ -1,10 +1,12 @@
 """Whole images by quadrature: the pixels whose rays meet the band's box, tile by tile, front to back.
 
-Rays are marched in rounds, each of which takes a part of their samples. Rays that are opaque after a round end there:
+Rays are marched in rounds, each of which takes a part of their samples. Rays that are opaque after a round
+end there:
 
     L = Σ_k T_k L_k,    T_{k+1} = T_k (1 − opacity_k)
 
-with L_k and opacity_k from round k alone. A ray that ends at T ≤ `cutoff` would have gained at most T in any channel.
+with L_k and opacity_k from round k alone. A ray that ends at T ≤ `cutoff` would have gained at most T in any
+channel.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ from ndf_mi.render.ray_samples import VolumeField
 from ndf_mi.render.sampling import QUANTUM, box_interval, rounded
 
 LANES = 1 << 19
-"""Candidate samples taken at once. Every tile of an image has as many rays as make this number, or all of them, so that one set of
-kernels serves all tiles."""
+"""Candidate samples taken at once. Every tile of an image has as many rays as make this number, or all of
+them, so that one set of kernels serves all tiles."""
 
 RECIPE = 2
 """Version of the renderer; it rises whenever the same field and settings give a different image."""
@@ -84,7 +86,9 @@ class Image:
     def over(self, background: np.ndarray) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1], composited in linear light over an sRGB background (3,)."""
         behind = srgb_to_linear(np.asarray(background, dtype=np.float32))
-        return np.clip(linear_to_srgb(self.linear + (1.0 - self.opacity[..., None]) * behind), 0.0, 1.0).astype(np.float32)
+        return np.clip(
+            linear_to_srgb(self.linear + (1.0 - self.opacity[..., None]) * behind), 0.0, 1.0
+        ).astype(np.float32)
 
 
 @dataclass
@@ -93,13 +97,16 @@ class ImageRenderer:
 
     samples: int = 128
     spp: int = 1
-    """Rays a pixel. One goes through the centre; more follow a low-discrepancy sequence over the pixel and are averaged."""
+    """Rays a pixel. One goes through the centre; more follow a low-discrepancy sequence over the pixel and
+    are averaged."""
     rounds: int = 4
     """Largest number of rounds; as many as divide `samples` are used."""
     cutoff: float = 1e-4
-    """Early termination: a ray goes on to the next round if its transmittance is above this; 0 follows every ray to its end."""
+    """Early termination: a ray goes on to the next round if its transmittance is above this; 0 follows every
+    ray to its end."""
     stratified: bool = False
-    """Shift each ray's samples by a random fraction of their spacing, which depends on the pixel alone, instead of taking the centres
+    """Shift each ray's samples by a random fraction of their spacing, which depends on the pixel alone,
+    instead of taking the centres
     of strata: noise instead of banding."""
 
     def __post_init__(self) -> None:
@@ -130,8 +137,8 @@ class ImageRenderer:
     def _rounds(
         self, volume: VolumeField, camera: RaySource, pixels: np.ndarray, ray: int, geometry: bool, work: Work
     ) -> np.ndarray:
-        """One ray a pixel: (5 or 11, h·w) colour, opacity, and, multiplied by the opacity, depth and, if asked for, (u, v, l) and
-        normal.
+        """One ray a pixel: (5 or 11, h·w) colour, opacity, and, multiplied by the opacity, depth and, if
+        asked for, (u, v, l) and normal.
 
         Args:
             ray: which of the pixel's rays.
@@ -148,9 +155,20 @@ class ImageRenderer:
                 index = mi.UInt32(padded)
                 rays = self._rays(camera, index, _place(ray))
                 # Rays of the padding end where they start, and so cost next to nothing.
-                rays.maxt = dr.select(dr.arange(mi.UInt32, tile) < dr.opaque(mi.UInt32, len(chosen)), dr.inf, 0.0)
-                jitter = dr.repeat(_shift(index, ray), count * volume.sample_factor) if self.stratified else None
-                seen = quadrature(volume, rays, self.samples, jitter=jitter, window=(number * count, count), geometry=geometry)
+                rays.maxt = dr.select(
+                    dr.arange(mi.UInt32, tile) < dr.opaque(mi.UInt32, len(chosen)), dr.inf, 0.0
+                )
+                jitter = (
+                    dr.repeat(_shift(index, ray), count * volume.sample_factor) if self.stratified else None
+                )
+                seen = quadrature(
+                    volume,
+                    rays,
+                    self.samples,
+                    jitter=jitter,
+                    window=(number * count, count),
+                    geometry=geometry,
+                )
                 work.tiles += 1
                 work.lanes += tile * count * volume.sample_factor
                 work.candidates += len(chosen) * count * volume.sample_factor
@@ -163,8 +181,10 @@ class ImageRenderer:
                 values = np.stack([row.numpy()[: len(chosen)] for row in rows])
                 broken = np.count_nonzero(~np.isfinite(values).all(0))
                 if broken:
-                    raise InputError("the field", f"NaN or infinity along {broken} rays", "finite densities and colours",
-                                     "Half precision ends at 65,504 in hidden layers: leave out `--networks half`.")
+                    raise InputError("the field", f"NaN or infinity along {broken} "
+                                                  "rays", "finite densities and colours",
+                                     "Half precision ends at 65,504 in hidden layers: leave out `--networks "
+                                     "half`.")
                 values[4:] *= values[3]
                 out[:, chosen] += transmittance[chosen] * values
                 transmittance[chosen] *= 1 - values[3]
@@ -173,7 +193,8 @@ class ImageRenderer:
         return out
 
     def tiling(self, sample_factor: int, rays: int) -> tuple[int, int, int]:
-        """Number of rounds, samples a ray in each, and rays a tile, for `rays` rays that meet a field with this `sample_factor`."""
+        """Number of rounds, samples a ray in each, and rays a tile, for `rays` rays that meet a field with
+        this `sample_factor`."""
         rounds = max(n for n in range(1, min(self.rounds, self.samples) + 1) if self.samples % n == 0)
         count = self.samples // rounds
         # Padding costs little a lane, but for few samples of few rays it would be most lanes.
@@ -198,11 +219,12 @@ class ImageRenderer:
 
 
 def _place(number: int) -> tuple[float, float]:
-    """Where ray `number` passes through its pixel: the centre first, then the R2 sequence (Roberts 2018), whose steps are powers of
-    the inverse of the plastic number."""
+    """Where ray `number` passes through its pixel: the centre first, then the R2 sequence (Roberts 2018),
+    whose steps are powers of the inverse of the plastic number."""
     return (0.5 + number * 0.7548776662466927) % 1.0, (0.5 + number * 0.5698402909980532) % 1.0
 
 
 def _shift(pixel: mi.UInt32, ray: int) -> mi.Float:
-    """A random number in [0, 1) for a pixel and its ray. The default of four rounds is biased over neighbouring pixels."""
+    """A random number in [0, 1) for a pixel and its ray. The default of four rounds is biased over
+    neighbouring pixels."""
     return mi.sample_tea_float32(pixel, dr.opaque(mi.UInt32, ray), 8)

@@ -11,7 +11,8 @@ from ndf_mi.render.scene import load_scene
 
 
 def lights(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """The emitters and shapes of a scene as entries for another scene's dictionary, without its sensors and integrator.
+    """The emitters and shapes of a scene as entries for another scene's dictionary, without its sensors and
+    integrator.
 
     Raises:
         InputError: the scene is missing, cannot be loaded or holds no emitter.
@@ -25,5 +26,7 @@ def lights(path: str | os.PathLike[str]) -> dict[str, Any]:
     # Shapes bring their own emitters.
     of_shapes = [shape.emitter() for shape in shapes if shape.is_emitter()]
     free = [emitter for emitter in scene.emitters() if not any(emitter is other for other in of_shapes)]
-    return {**{f"light_{i}": value for i, value in enumerate(free)}, **{f"around_{i}": value for i, value in enumerate(shapes)}}
-
+    return {
+        **{f"light_{i}": value for i, value in enumerate(free)},
+        **{f"around_{i}": value for i, value in enumerate(shapes)},
+    }

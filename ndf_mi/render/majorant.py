@@ -19,7 +19,8 @@ FLOOR = 0.05
 """Smallest estimate in 1/m: free flights divide by it, and gradients need a majorant above every density."""
 
 CHUNK = 1 << 16
-"""Samples evaluated at once. The last chunk is filled up, as its size is compiled into the kernels of batched networks."""
+"""Samples evaluated at once. The last chunk is filled up, as its size is compiled into the kernels of batched
+networks."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,10 @@ class Bounds:
     Attributes:
         grid: the cells.
         band: (nx, ny, nz) bool, the cells that the band can touch; the others hold no density.
-        upper: (nx, ny, nz) float32 upper estimate in 1/m: from :data:`FLOOR` to `limit` in the band's cells, 0 in the others.
-        seen: (nx, ny, nz) float32 approximate share of the light from outside that reaches each cell (:func:`transmittances`).
+        upper: (nx, ny, nz) float32 upper estimate in 1/m: from :data:`FLOOR` to `limit` in the band's cells,
+            0 in the others.
+        seen: (nx, ny, nz) float32 approximate share of the light from outside that reaches each cell
+            (:func:`transmittances`).
         limit: the bound that the density's activation gives, in 1/m.
     """
 
@@ -60,8 +63,8 @@ class Excess:
 
     def __str__(self) -> str:
         x, y, z = (f"{v:.3f}" for v in self.point)
-        return (f"the density at ({x}, {y}, {z}) is {self.density:.4g} per metre, above the majorant {self.majorant:.4g}; "
-                f"{self.count} of {self.checked} points exceed theirs")
+        return (f"the density at ({x}, {y}, {z}) is {self.density:.4g} per metre, above the majorant "
+                f"{self.majorant:.4g}; {self.count} of {self.checked} points exceed theirs")
 
 
 def densities(volume: VolumeField, points: np.ndarray) -> np.ndarray:
@@ -75,15 +78,18 @@ def densities(volume: VolumeField, points: np.ndarray) -> np.ndarray:
             x = mi.Point3f(padded.T)
             located = volume.locate(x, volume.may_contain(x))
             dr.eval(located)
-            result[start : start + count] = volume.evaluate(x, d, located, located.valid).sigma.numpy()[:count]
+            result[start : start + count] = volume.evaluate(x, d, located, located.valid).sigma.numpy()[
+                :count
+            ]
     return result
 
 
 def bounds(volume: BoundedField, preset: Preset, sampled: Distances, margin: float = MARGIN) -> Bounds:
     """Samples a field's density at the centres of the parts of every cell, and estimates it from above.
 
-    A cell's estimate is `margin` times the largest sample in the cell and in the layer of parts around it: 4³ samples for a cell of
-    2³ parts. It is an estimate, not a bound: :func:`exceeding` checks it at other points.
+    A cell's estimate is `margin` times the largest sample in the cell and in the layer of parts around it: 4³
+    samples for a cell of 2³ parts. It is an estimate, not a bound: :func:`exceeding` checks it at other
+    points.
 
     Args:
         volume: the field, at the pose that `sampled` is of.
@@ -104,7 +110,8 @@ def bounds(volume: BoundedField, preset: Preset, sampled: Distances, margin: flo
 
 
 def random_points(grid: Grid, cells: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """(count, 3) float64 points, uniform in the cells where (nx, ny, nz) `cells` is true; none if there are no such cells."""
+    """(count, 3) float64 points, uniform in the cells where (nx, ny, nz) `cells` is true; none if there are
+    no such cells."""
     rng = np.random.default_rng(seed)
     chosen = np.flatnonzero(cells)
     if not len(chosen):
@@ -114,7 +121,8 @@ def random_points(grid: Grid, cells: np.ndarray, count: int, seed: int) -> np.nd
 
 
 def exceeding(points: np.ndarray, sigma: np.ndarray, majorants: np.ndarray) -> Excess | None:
-    """Compares densities (N,) at points (N, 3) with the majorants (N,) there; None where none exceeds its own."""
+    """Compares densities (N,) at points (N, 3) with the majorants (N,) there; None where none exceeds its
+    own."""
     above = sigma > majorants
     if not above.any():
         return None
@@ -123,8 +131,8 @@ def exceeding(points: np.ndarray, sigma: np.ndarray, majorants: np.ndarray) -> E
 
 
 def transmittances(mean: np.ndarray, cell: float) -> np.ndarray:
-    """The approximate share of the light from outside that reaches each cell: the mean transmittance up to the cell's centre over
-    beams along ±x, ±y and ±z.
+    """The approximate share of the light from outside that reaches each cell: the mean transmittance up to
+    the cell's centre over beams along ±x, ±y and ±z.
 
     Args:
         mean: (nx, ny, nz) mean densities in 1/m.

@@ -18,18 +18,19 @@ CROSSED = 0.4
 
 
 def choose_levels(bounds: Bounds, layers: int, crossing: float = CROSSING) -> list[tuple[float, ...]]:
-    """For every number of shells, the levels t_1 < t_2 < … that minimise the expected cost of a ray through nested shells.
+    """For every number of shells, the levels t_1 < t_2 < … that minimise the expected cost of a ray through
+    nested shells.
 
-    Shell k > 0 surrounds the cells whose estimate is above t_k. Between shells k and k + 1 the majorant is t_(k+1); within the last
-    shell it is the largest estimate. By Cauchy and Crofton, straight lines of all directions and positions that meet the body pass
-    through a volume V over a length proportional to 4·V, and cross a surface A in proportion to 2·A. The cost of some levels is
-    therefore proportional to
+    Shell k > 0 surrounds the cells whose estimate is above t_k. Between shells k and k + 1 the majorant is
+    t_(k+1); within the last shell it is the largest estimate. By Cauchy and Crofton, straight lines of all
+    directions and positions that meet the body pass through a volume V over a length proportional to 4·V, and
+    cross a surface A in proportion to 2·A. The cost of some levels is therefore proportional to
 
         Σ_k M_k·(V_k − V_(k+1)) + crossing·Σ_k A_k/2
 
-    where each cell counts in proportion to the light from outside that reaches it (`Bounds.seen`). Dynamic programming compares
-    all choices among :data:`CANDIDATES` densities, with each shell treated as if it were alone. :func:`expected_cost` then decides
-    which number of shells is best.
+    where each cell counts in proportion to the light from outside that reaches it (`Bounds.seen`). Dynamic
+    programming compares all choices among :data:`CANDIDATES` densities, with each shell treated as if it were
+    alone. :func:`expected_cost` then decides which number of shells is best.
 
     Args:
         bounds: estimates of the field's density.
@@ -44,7 +45,8 @@ def choose_levels(bounds: Bounds, layers: int, crossing: float = CROSSING) -> li
         return [()]
     levels = np.geomspace(upper.min(), upper.max(), CANDIDATES + 1)[:-1]
     seen = bounds.seen
-    # How many candidates each cell's estimate exceeds, in the cells themselves and in those that a shell around them crosses.
+    # How many candidates each cell's estimate exceeds, in the cells themselves and in those that a shell
+    # around them crosses.
     own = np.where(bounds.band, np.searchsorted(levels, bounds.upper), 0).astype(np.uint8)
     around = spread(own)
 
@@ -59,10 +61,13 @@ def choose_levels(bounds: Bounds, layers: int, crossing: float = CROSSING) -> li
     everything = float(seen[bounds.band].sum() * bounds.grid.cell**3)
     # The smallest cost outside shell j, the innermost so far, and the levels that give it.
     best: dict[int, tuple[float, tuple[int, ...]]] = {
-        j: (levels[j] * (everything - volume[j]) + crossing * area[j] / 2, (j,)) for j in range(1, CANDIDATES)}
+        j: (levels[j] * (everything - volume[j]) + crossing * area[j] / 2, (j,)) for j in range(1, CANDIDATES)
+    }
     chosen: list[tuple[int, ...]] = [()]
     while len(chosen) < layers and best:
-        chosen.append(min((cost + float(upper.max()) * volume[j], path) for j, (cost, path) in best.items())[1])
+        chosen.append(
+            min((cost + float(upper.max()) * volume[j], path) for j, (cost, path) in best.items())[1]
+        )
         further: dict[int, tuple[float, tuple[int, ...]]] = {}
         for j in range(min(best) + 1, CANDIDATES):
             further[j] = min((cost + levels[j] * (volume[i] - volume[j]) + crossing * area[j] / 2, (*path, j))
@@ -71,17 +76,23 @@ def choose_levels(bounds: Bounds, layers: int, crossing: float = CROSSING) -> li
     return [tuple(float(levels[j]) for j in path) for path in chosen]
 
 
-def expected_cost(rank: np.ndarray, majorants: list[float], bounds: Bounds, crossing: float = CROSSING) -> float:
-    """The cost that :func:`choose_levels` minimises, for given shells: in square metres, to compare shells of the same field.
+def expected_cost(
+    rank: np.ndarray, majorants: list[float], bounds: Bounds, crossing: float = CROSSING
+) -> float:
+    """The cost that :func:`choose_levels` minimises, for given shells: in square metres, to compare shells of
+    the same field.
 
     Args:
-        rank: (nx + 1, ny + 1, nz + 1) number of shells around each node of the grid of `bounds`, which may have a border added.
+        rank: (nx + 1, ny + 1, nz + 1) number of shells around each node of the grid of `bounds`, which may
+            have a border added.
         majorants: of the layers, in 1/m.
         bounds: estimates of the field's density.
         crossing: cost of crossing a shell, in evaluations of the field.
     """
     cell = bounds.grid.cell
-    pad = [((n - 1 - m) // 2, (n - 1 - m) // 2 + 1) for n, m in zip(rank.shape, bounds.seen.shape, strict=True)]
+    pad = [
+        ((n - 1 - m) // 2, (n - 1 - m) // 2 + 1) for n, m in zip(rank.shape, bounds.seen.shape, strict=True)
+    ]
     seen = np.pad(bounds.seen, pad, constant_values=1.0)
     flights = cell**3 * float((np.array([0.0, *majorants], np.float32)[rank] * seen).sum())
     crossed = 0.0

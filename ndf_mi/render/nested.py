@@ -1,4 +1,5 @@
-"""Nested shells: closed meshes around increasingly dense parts of a field, between which local majorants hold."""
+"""Nested shells: closed meshes around increasingly dense parts of a field, between which local majorants
+hold."""
 
 from __future__ import annotations
 
@@ -24,13 +25,16 @@ COVERED = 1 << 12
 
 @dataclass(frozen=True)
 class Layers:
-    """A partition of space into layers 0, 1, …, K − 1 between nested shells: layer k lies within shell k and outside shell k + 1.
+    """A partition of space into layers 0, 1, …, K − 1 between nested shells: layer k lies within shell k and
+    outside shell k + 1.
 
     Attributes:
         grid: the grid that the shells are cut from.
-        rank: (nx + 1, ny + 1, nz + 1) uint8, the number of shells that each node lies within. Neighbours differ by at most one.
+        rank: (nx + 1, ny + 1, nz + 1) uint8, the number of shells that each node lies within. Neighbours
+            differ by at most one.
         levels: t_1 < … < t_(K−1), in 1/m.
-        shells: K pairs of vertices (N, 3) float32 and faces (M, 3) uint32, outermost first; closed, normals pointing out.
+        shells: K pairs of vertices (N, 3) float32 and faces (M, 3) uint32, outermost first; closed, normals
+            pointing out.
     """
 
     grid: Grid
@@ -43,8 +47,8 @@ class Layers:
         return layer_majorants(self.grid, self.rank, estimate)
 
     def locate(self, points: np.ndarray) -> np.ndarray:
-        """(N,) int64 layers of points (N, 3). Next to a shell it is the outer of the two possible layers; −1 where a point may be
-        outside all shells."""
+        """(N,) int64 layers of points (N, 3). Next to a shell it is the outer of the two possible layers; −1
+        where a point may be outside all shells."""
         lowest, _ = corner_ranks(self.rank)
         return lowest[self.grid.index(points)].astype(np.int64) - 1
 
@@ -52,8 +56,9 @@ class Layers:
 def ranks(estimate: Bounds, levels: tuple[float, ...]) -> tuple[Grid, np.ndarray]:
     """How many of the shells at given levels enclose each node.
 
-    Every node that touches a cell with an estimate above t_k is within shell k, and its 26 neighbours are at least within shell
-    k − 1. The cells that shell k crosses thus lie entirely inside shell k − 1, which crosses others: shells neither meet nor touch.
+    Every node that touches a cell with an estimate above t_k is within shell k, and its 26 neighbours are at
+    least within shell k − 1. The cells that shell k crosses thus lie entirely inside shell k − 1, which
+    crosses others: shells neither meet nor touch.
 
     Args:
         estimate: the field's density cell by cell.
@@ -73,7 +78,9 @@ def ranks(estimate: Bounds, levels: tuple[float, ...]) -> tuple[Grid, np.ndarray
     return Grid(source.low - pad * source.cell, source.cell, (nx, ny, nz)), rank
 
 
-def cut_layers(estimate: Bounds, sampled: Distances, band: float, inside: float, levels: tuple[float, ...]) -> Layers:
+def cut_layers(
+    estimate: Bounds, sampled: Distances, band: float, inside: float, levels: tuple[float, ...]
+) -> Layers:
     """Nested shells at given levels.
 
     Args:
@@ -102,10 +109,14 @@ def best_levels(estimate: Bounds, count: int) -> tuple[float, ...]:
 
 
 def layer_majorants(grid: Grid, rank: np.ndarray, estimate: Bounds) -> list[float]:
-    """For each layer the largest estimate in 1/m among the cells that it reaches into; at least :data:`FLOOR`."""
+    """For each layer the largest estimate in 1/m among the cells that it reaches into; at least
+    :data:`FLOOR`."""
     upper = _on(grid, estimate)
     lowest, highest = corner_ranks(rank)
-    return [float(np.max(upper, where=(lowest <= k) & (k <= highest), initial=FLOOR)) for k in range(1, int(rank.max()) + 1)]
+    return [
+        float(np.max(upper, where=(lowest <= k) & (k <= highest), initial=FLOOR))
+        for k in range(1, int(rank.max()) + 1)
+    ]
 
 
 def corner_ranks(rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +126,8 @@ def corner_ranks(rank: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Majorants:
-    """Nested shells around a field at one pose, and majorants between them that can be estimated again as the field changes.
+    """Nested shells around a field at one pose, and majorants between them that can be estimated again as the
+    field changes.
 
     Args:
         model: the field's.
@@ -128,7 +140,8 @@ class Majorants:
     Attributes:
         layers: the shells.
         values: the layers' majorants in 1/m.
-        excess: densities above the estimated majorants that a check at other points found, if any. The majorants were raised.
+        excess: densities above the estimated majorants that a check at other points found, if any. The
+            majorants were raised.
     """
 
     def __init__(self, model: Model, posed: BoundedField, vertices: mi.Float, count: int, cell: float,
@@ -145,8 +158,8 @@ class Majorants:
         self._settle(posed, estimate)
 
     def left_out(self, vertices: mi.Float) -> float:
-        """The share of the band around these vertices that lies outside the shells, from random points; 0 for the body that the
-        shells were made around."""
+        """The share of the band around these vertices that lies outside the shells, from random points; 0 for
+        the body that the shells were made around."""
         posed = dr.detach(vertices).numpy().reshape(-1, 3)
         points = band_points(self._surface, posed, self._preset.band, self._preset.band_inside, COVERED)
         return float(np.mean(self.layers.locate(points) < 0))
@@ -176,7 +189,8 @@ class Majorants:
 
 
 def _on(grid: Grid, estimate: Bounds) -> np.ndarray:
-    """The estimates on another grid of the same spacing: the maximum over the cells that reach into each of its cells."""
+    """The estimates on another grid of the same spacing: the maximum over the cells that reach into each of
+    its cells."""
     source = estimate.grid
     upper = np.zeros(grid.shape, dtype=np.float32)
     offset = (source.low - grid.low) / grid.cell

@@ -54,8 +54,8 @@ def quadrature(
 ) -> Radiance:
     """Renders `volume` along N rays (directions of unit length) with `samples` candidate samples each.
 
-    Differentiable in the rays and in everything that `volume.evaluate` is attached to. Where samples lie, and which of them reach the
-    networks, is detached.
+    Differentiable in the rays and in everything that `volume.evaluate` is attached to. Where samples lie, and
+    which of them reach the networks, is detached.
 
     Args:
         jitter, window, min_transmittance: as in :func:`ndf_mi.render.ray_samples.sample_rays`.
@@ -66,7 +66,9 @@ def quadrature(
     ray = mi.Ray3f(ray)
     ray.o = ray.o + dr.zeros(mi.Vector3f, rays)
     ray.d = ray.d + dr.zeros(mi.Vector3f, rays)
-    strata = sample_rays(volume, ray, samples, jitter=jitter, window=window, min_transmittance=min_transmittance)
+    strata = sample_rays(
+        volume, ray, samples, jitter=jitter, window=window, min_transmittance=min_transmittance
+    )
     sample = strata.sample
     tau = strata.optical_depth(scale)
     weight = dr.exp(-sum_before(tau, strata.count)) * -expm1(-tau)

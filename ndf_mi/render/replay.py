@@ -11,8 +11,9 @@ import mitsuba as mi
 class Replay:
     """Paths along rays, traced once for their radiance and again for gradients.
 
-    Camera rays that leave the scene without an interaction see `background` and no emitter. Gradients are exact, too: the second pass
-    receives the background as the radiance of such paths, so that every weight along the way gets its share.
+    Camera rays that leave the scene without an interaction see `background` and no emitter. Gradients are
+    exact, too: the second pass receives the background as the radiance of such paths, so that every weight
+    along the way gets its share.
 
     Args:
         scene: its parameters receive the gradients.
@@ -28,11 +29,19 @@ class Replay:
         self._sampler = mi.load_dict({"type": "independent"})
 
     def radiance(self, ray: mi.Ray3f, seed: int) -> mi.Color3f:
-        """(N) linear radiance, detached, of one path along each of N rays; independent of one another and for different seeds."""
+        """(N) linear radiance, detached, of one path along each of N rays; independent of one another and for
+        different seeds."""
         with dr.suspend_grad():
             found, valid, *_ = self._integrator.sample(
-                mode=dr.ADMode.Primal, scene=self._scene, sampler=self._seeded(ray, seed), ray=ray, depth=mi.UInt32(0),
-                δL=None, state_in=None, active=mi.Bool(True))
+                mode=dr.ADMode.Primal,
+                scene=self._scene,
+                sampler=self._seeded(ray, seed),
+                ray=ray,
+                depth=mi.UInt32(0),
+                δL=None,
+                state_in=None,
+                active=mi.Bool(True),
+            )
             radiance = dr.select(valid, mi.Color3f(found), self._background)
             dr.eval(radiance)
         return radiance
@@ -47,8 +56,15 @@ class Replay:
         """
         with dr.suspend_grad():
             self._integrator.sample(
-                mode=dr.ADMode.Backward, scene=self._scene, sampler=self._seeded(ray, seed), ray=ray, depth=mi.UInt32(0),
-                δL=mi.Spectrum(adjoint), state_in=mi.Spectrum(radiance), active=mi.Bool(True))
+                mode=dr.ADMode.Backward,
+                scene=self._scene,
+                sampler=self._seeded(ray, seed),
+                ray=ray,
+                depth=mi.UInt32(0),
+                δL=mi.Spectrum(adjoint),
+                state_in=mi.Spectrum(radiance),
+                active=mi.Bool(True),
+            )
 
     def _seeded(self, ray: mi.Ray3f, seed: int) -> mi.Sampler:
         self._sampler.seed(dr.opaque(mi.UInt32, seed), dr.width(ray.d))

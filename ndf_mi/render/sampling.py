@@ -1,4 +1,5 @@
-"""Where rays are sampled, and how the few samples that matter are gathered into arrays of few different sizes."""
+"""Where rays are sampled, and how the few samples that matter are gathered into arrays of few different
+sizes."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ def box_interval(box: mi.BoundingBox3f, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Floa
     return hit, dr.select(hit, near, 0.0), dr.select(hit, far, 0.0)
 
 
-def stratified(near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | None) -> tuple[mi.Float, mi.Float]:
+def stratified(
+    near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | None
+) -> tuple[mi.Float, mi.Float]:
     """Positions and widths of `samples` equal strata between near and far, ray by ray.
 
     Args:
@@ -33,8 +36,8 @@ def stratified(near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | N
         jitter: N·samples values in [0, 1), where in its stratum each sample lies; None for the centres.
 
     Returns:
-        t and the stratum's width δ, both N·samples, a ray's samples adjacent and in rising t. The last stratum ends at far: no
-        interval is infinite.
+        t and the stratum's width δ, both N·samples, a ray's samples adjacent and in rising t. The last
+        stratum ends at far: no interval is infinite.
     """
     rays = dr.width(near)
     index = dr.arange(mi.UInt32, rays * samples)
@@ -45,7 +48,8 @@ def stratified(near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | N
 
 
 def pad(chosen: mi.UInt32, count: int, size: int, first: int = 0) -> tuple[mi.UInt32, mi.Bool]:
-    """`count` of the chosen indices from position `first` on, filled up with zeros to `size`, and which entries are real. Evaluated."""
+    """`count` of the chosen indices from position `first` on, filled up with zeros to `size`, and which
+    entries are real. Evaluated."""
     lane = dr.arange(mi.UInt32, size)
     real = lane < dr.opaque(mi.UInt32, count)
     if count == 0:
@@ -69,7 +73,8 @@ def compact(mask: mi.Bool) -> tuple[mi.UInt32, mi.Bool, int]:
     Sizes are Python numbers that enter kernels: each new one costs a compilation.
 
     Returns:
-        the chosen lanes' indices (0 in the padding), which entries are real, and how many those are. Evaluates `mask`.
+        the chosen lanes' indices (0 in the padding), which entries are real, and how many those are.
+        Evaluates `mask`.
     """
     chosen = dr.compress(mask)
     count = dr.width(chosen)

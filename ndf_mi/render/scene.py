@@ -20,7 +20,8 @@ def load_scene(path: str | os.PathLike[str], parameters: dict[str, str]) -> mi.S
     try:
         scene = mi.load_file(str(path), **parameters)
     except (RuntimeError, ValueError, TypeError) as error:
-        raise InputError(path, f"a scene that cannot be loaded: {_plainly(error)}", "a scene that Mitsuba loads") from None
+        raise InputError(path, "a scene that cannot be loaded: "
+                               f"{_plainly(error)}", "a scene that Mitsuba loads") from None
     if not isinstance(scene, mi.Scene):
         raise InputError(path, f"a {type(scene).__name__}", "a scene")
     return scene
@@ -58,22 +59,31 @@ def render_scene(
             if isinstance(cause, InputError):
                 raise cause from None
             cause = cause.__cause__
-        raise InputError("scene", f"one that its integrator cannot render: {_plainly(error)}", "another integrator or scene") from None
+        raise InputError("scene", "one that its integrator cannot render: "
+                                  f"{_plainly(error)}", "another integrator or scene") from None
     bitmap = sensors[sensor].film().bitmap(raw=False)
     array = np.array(bitmap, dtype=np.float32)
     broken = np.count_nonzero(~np.isfinite(array).all(-1))
     if broken:
         raise InputError("scene", f"NaN or infinity in {broken} pixels", "a finite picture",
-                         "A performer gives them where networks run in half precision, as on GPUs, and hidden values exceed 65,504.")
+                         "A performer gives them where networks run in half precision, as on GPUs, and "
+                         "hidden values exceed 65,504.")
     names = [field.name for field in bitmap.struct_()]
     channels = {name: array[..., i] for i, name in enumerate(names)}
-    colour = np.stack([channels[n] for n in "RGB"], axis=-1) if "R" in channels else np.repeat(array[..., :1], 3, axis=-1)
+    colour = (
+        np.stack([channels[n] for n in "RGB"], axis=-1)
+        if "R" in channels
+        else np.repeat(array[..., :1], 3, axis=-1)
+    )
     return channels, np.clip(linear_to_srgb(np.maximum(colour, 0)), 0, 1)
 
 
 def _plainly(error: BaseException) -> str:
-    """The message of a Mitsuba exception without the Python frames that it quotes: the plugin's own message where there is one."""
+    """The message of a Mitsuba exception without the Python frames that it quotes: the plugin's own message
+    where there is one."""
     text = str(error)
     own = text.rpartition("InputError: ")[2] if "InputError: " in text else text
     lines = [line.strip() for line in own.splitlines()]
-    return " ".join(line for line in lines if line and not line.startswith(("File ", "Traceback", "At:", "^")))
+    return " ".join(
+        line for line in lines if line and not line.startswith(("File ", "Traceback", "At:", "^"))
+    )

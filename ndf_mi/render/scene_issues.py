@@ -16,9 +16,17 @@ from ndf_mi.render.performers import FieldMedium, lets_light_in
 from ndf_mi.render.shell import band_points
 
 BLIND = (
-    "PathIntegrator", "DirectIntegrator", "PRBIntegrator", "BasicPRBIntegrator", "PathProjectiveIntegrator",
-    "DirectProjectiveIntegrator", "EmissionProjectiveIntegrator", "PTracerIntegrator", "ParticleTracerIntegrator",
-    "DepthIntegrator", "BasicVolumetricPrimitiveRadianceFieldIntegrator",
+    "PathIntegrator",
+    "DirectIntegrator",
+    "PRBIntegrator",
+    "BasicPRBIntegrator",
+    "PathProjectiveIntegrator",
+    "DirectProjectiveIntegrator",
+    "EmissionProjectiveIntegrator",
+    "PTracerIntegrator",
+    "ParticleTracerIntegrator",
+    "DepthIntegrator",
+    "BasicVolumetricPrimitiveRadianceFieldIntegrator",
 )
 """Integrators that know surfaces only: to them a shell, which has no surface of its own, does not exist."""
 
@@ -67,8 +75,8 @@ def scene_issues(scene: mi.Scene) -> list[str]:
     if not holders or (kinds and all(kind & set(OWN) for kind in kinds)):
         return found
     for name in sorted(set().union(*kinds) & set(BLIND)):
-        found.append(f"integrator: {name} knows no media, and shows nothing of the `ndf` media. Use `volpath`, `volpathmis`, "
-                     "`prbvolpath` or one of this package.")
+        found.append(f"integrator: {name} knows no media, and shows nothing of the `ndf` media. Use "
+                     "`volpath`, `volpathmis`, `prbvolpath` or one of this package.")
     for run in dict.fromkeys(shape.interior_medium().neural_field.run for shape in holders):
         reason = misread(run, scattering=True)
         if reason is not None and kinds:
@@ -99,7 +107,9 @@ def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
     ahead, n_ahead = np.unique(edges[:, 0] * count + edges[:, 1], return_counts=True)
     back, n_back = np.unique(edges[:, 1] * count + edges[:, 0], return_counts=True)
     balance = dict(zip(ahead.tolist(), n_ahead.tolist(), strict=True))
-    return sum(max(n - balance.get(edge, 0), 0) for edge, n in zip(back.tolist(), n_back.tolist(), strict=True))
+    return sum(
+        max(n - balance.get(edge, 0), 0) for edge, n in zip(back.tolist(), n_back.tolist(), strict=True)
+    )
 
 
 def contains(scene: mi.Scene, shape: mi.Shape, points: np.ndarray) -> np.ndarray:
@@ -117,7 +127,9 @@ def contains(scene: mi.Scene, shape: mi.Shape, points: np.ndarray) -> np.ndarray
     return inside
 
 
-def _faced_from_within(scene: mi.Scene, shape: mi.Shape, points: np.ndarray, direction: tuple[float, float, float]) -> np.ndarray:
+def _faced_from_within(
+    scene: mi.Scene, shape: mi.Shape, points: np.ndarray, direction: tuple[float, float, float]
+) -> np.ndarray:
     ray = mi.Ray3f(mi.Point3f(points.astype(np.float32).T), mi.Vector3f(*direction))
     inside = dr.full(mi.Bool, False, len(points))
     active = dr.full(mi.Bool, True, len(points))
@@ -150,8 +162,8 @@ def _integrators(scene: mi.Scene) -> list[set[str]]:
 
 
 def _empty_shapes(scene: mi.Scene) -> list[str]:
-    return [f"shape {shape.id()!r}: has neither a surface (its BSDF is null) nor a medium, so that nothing of it is seen. Give it "
-            "an `ndf` medium as its interior: an `ndf_shell` only encloses one."
+    return [f"shape {shape.id()!r}: has neither a surface (its BSDF is null) nor a medium, so that nothing "
+            "of it is seen. Give it an `ndf` medium as its interior: an `ndf_shell` only encloses one."
             for shape in scene.shapes()
             if shape.bsdf() is not None and _is_null(shape.bsdf())
             and shape.interior_medium() is None and shape.exterior_medium() is None
@@ -171,8 +183,9 @@ def _meeting(scene: mi.Scene, one: Any, other: Any) -> list[str]:
         u = np.random.default_rng(0).random((2, POINTS), dtype=np.float32)
         points = shape.sample_position(0.0, mi.Point2f(u)).p.numpy().T
         if contains(scene, around, points).any():
-            return [f"shapes {one.id()!r} and {other.id()!r}: meet. As Mitsuba keeps one medium at a time along a ray, one of the "
-                    "performers is missing there. Move one of them by its medium's `offset`, or use `ndf_path`."]
+            return [f"shapes {one.id()!r} and {other.id()!r}: meet. As Mitsuba keeps one medium at a time "
+                    "along a ray, one of the performers is missing there. Move one of them by its medium's "
+                    "`offset`, or use `ndf_path`."]
     return []
 
 
@@ -181,30 +194,35 @@ def _shape_issues(scene: mi.Scene, shape: Any) -> list[str]:
     field = shape.interior_medium().neural_field
     found: list[str] = []
     if not lets_light_in(shape.bsdf()):
-        found.append(f"{name}: has a surface of its own (BSDF {shape.bsdf().class_name()}), which hides the medium. Give it "
-                     "<bsdf type=\"null\"/>.")
+        found.append(f"{name}: has a surface of its own (BSDF {shape.bsdf().class_name()}), which hides the "
+                     "medium. Give it <bsdf type=\"null\"/>.")
     if shape.class_name() in OPEN:
-        return [*found, f"{name}: a {shape.class_name()} encloses nothing. Use a closed shape, such as an `ndf_shell`."]
+        return [*found, f"{name}: a {shape.class_name()} encloses nothing. Use a closed shape, such as an "
+                        "`ndf_shell`."]
     mesh = triangles(shape)
     edges = 0 if mesh is None else open_edges(*mesh)
     if edges:
-        return [*found, f"{name}: is not closed ({edges} open edges), so that light enters its medium unnoticed, or never leaves "
-                        "it. Close the mesh, or use an `ndf_shell`."]
+        return [*found, f"{name}: is not closed ({edges} open edges), so that light enters its medium "
+                        "unnoticed, or never leaves it. Close the mesh, or use an `ndf_shell`."]
     preset, vertices = field.run.model.field.preset, dr.detach(field.vertices).numpy().reshape(-1, 3)
     points = band_points(field.run.model.surface, vertices, preset.band, preset.band_inside, POINTS)
     outside = ~contains(scene, shape, points)
     sample = field.posed().fused(mi.Point3f(points.astype(np.float32).T), mi.Vector3f(0.0, 0.0, 1.0))
     missing = outside & (sample.sigma.numpy() > 0)
     if missing.all():
-        found.append(f"{name}: contains nothing of the field, or faces inward. Reverse the mesh's triangles, or use an `ndf_shell`.")
+        found.append(f"{name}: contains nothing of the field, or faces inward. Reverse the mesh's triangles, "
+                     "or use an `ndf_shell`.")
     elif missing.any():
         x, y, z = (f"{v:.3f}" for v in points[missing][0])
-        found.append(f"{name}: leaves out {100 * missing.mean():.2g} % of the field, for instance ({x}, {y}, {z}), which is not "
-                     "seen. Use an `ndf_shell` of the same run and frame, and load the scene again if the body has moved.")
+        found.append(f"{name}: leaves out {100 * missing.mean():.2g} % of the field, for instance ({x}, {y}, "
+                     f"{z}), which is not seen. Use an `ndf_shell` of the same run and frame, and load the "
+                     "scene again if the body has moved.")
     return found
 
 
-def _sensor_issues(scene: mi.Scene, number: int, sensor: mi.Sensor, holders: list[Any], prb: bool) -> list[str]:
+def _sensor_issues(
+    scene: mi.Scene, number: int, sensor: mi.Sensor, holders: list[Any], prb: bool
+) -> list[str]:
     ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
     origin = np.array(ray.o, dtype=np.float64).reshape(3, -1)[:, :1].T
     inside = [shape for shape in holders if contains(scene, shape, origin)[0]]
@@ -212,9 +230,9 @@ def _sensor_issues(scene: mi.Scene, number: int, sensor: mi.Sensor, holders: lis
         return []
     where = f"sensor {number} is inside the medium of shape {inside[0].id()!r}"
     if prb:
-        return [f"{where}, but `prbvolpath` begins outside of media: what lies between it and the next shell is not seen. Use "
-                "`volpath`, or move the sensor."]
+        return [f"{where}, but `prbvolpath` begins outside of media: what lies between it and the next shell "
+                "is not seen. Use `volpath`, or move the sensor."]
     if sensor.get_medium() is None:
-        return [f"{where}, but names no medium: what lies between it and the next shell is not seen. Give the medium an id, and "
-                "the sensor <ref id=\"…\"/>."]
+        return [f"{where}, but names no medium: what lies between it and the next shell is not seen. Give "
+                "the medium an id, and the sensor <ref id=\"…\"/>."]
     return []

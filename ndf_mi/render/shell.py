@@ -84,10 +84,10 @@ class Distances:
     def band_cells(self, band: float, inside: float) -> np.ndarray:
         """The cells that the band −`inside` <= l <= `band` can touch, (nx, ny, nz) bool.
 
-        |l| changes by at most the distance between two points. A part of a cell, whose corners are r away from its centre,
-        therefore holds no point of the band if |l| > `band` + r there; nor if l < −(`inside` + r), provided that l keeps its
-        sign in it. At that depth the sign changes only where the body intersects itself, so a part next to one outside the body
-        does not count as inside.
+        |l| changes by at most the distance between two points. A part of a cell, whose corners are r away from its
+        centre, therefore holds no point of the band if |l| > `band` + r there; nor if l < −(`inside` + r), provided
+        that l keeps its sign in it. At that depth the sign changes only where the body intersects itself, so a part
+        next to one outside the body does not count as inside.
         """
         r = 0.5 * math.sqrt(3.0) * self.grid.cell / PARTS
         l = self.distance
@@ -105,7 +105,9 @@ class Distances:
         for i in (0, 1):
             for j in (0, 1):
                 for k in (0, 1):
-                    total += padded[i::PARTS, j::PARTS, k::PARTS][: total.shape[0], : total.shape[1], : total.shape[2]]
+                    total += padded[i::PARTS, j::PARTS, k::PARTS][
+                        : total.shape[0], : total.shape[1], : total.shape[2]
+                    ]
         return total / 8
 
 
@@ -135,7 +137,9 @@ def distances(surface: Surface, vertices: mi.Float, band: float, cell: float) ->
         low, step = mi.Point3f(*(float(v) for v in grid.low)), cell / PARTS
         for start in range(0, distance.size, CHUNK):
             index = dr.arange(mi.UInt32, min(CHUNK, distance.size - start)) + dr.opaque(mi.UInt32, start)
-            index = dr.gather(mi.UInt32, index, dr.compress(posed.may_contain(_centre(index, shape, low, step))))
+            index = dr.gather(
+                mi.UInt32, index, dr.compress(posed.may_contain(_centre(index, shape, low, step)))
+            )
             if not len(index):
                 continue
             x = _centre(index, shape, low, step)
@@ -223,7 +227,9 @@ def band_shell(
     return cut(nodes, sampled.at_nodes(band, inside) / cell, sampled.grid)
 
 
-def band_points(surface: Surface, vertices: np.ndarray, band: float, inside: float, count: int, seed: int = 0) -> np.ndarray:
+def band_points(
+    surface: Surface, vertices: np.ndarray, band: float, inside: float, count: int, seed: int = 0
+) -> np.ndarray:
     """(count, 3) random points offset from the body along its triangles' normals, −`inside` <= offset <=
     `band`; nearly all lie in its band.
 

@@ -63,20 +63,25 @@ class SparseGrid:
     sample_factor = 1
     """A lookup needs no more candidate samples than asked for."""
 
-    def __init__(self, volume: VolumeField, surface: Surface, vertices: mi.Float, reach: float, cell: float) -> None:
+    def __init__(
+        self, volume: VolumeField, surface: Surface, vertices: mi.Float, reach: float, cell: float
+    ) -> None:
         self.cell = cell
         low, high = (np.array(corner, np.float64).ravel() for corner in (volume.bbox.min, volume.bbox.max))
         self.bbox = volume.bbox
         self._shape = tuple(int(n) for n in np.ceil((high - low) / (SIDE * cell)))
         if np.prod(self._shape, dtype=np.float64) > LARGEST:
-            raise InputError("grid_spacing", f"{cell:g} m", "a larger spacing: the grid would not fit into memory")
+            raise InputError(
+                "grid_spacing", f"{cell:g} m", "a larger spacing: the grid would not fit into memory"
+            )
         self._low = mi.Point3f(*low.tolist())
         dr.make_opaque(self._low)
         with dr.suspend_grad():
             candidates = self._candidates(surface, vertices, reach)
             if 4 * _NODES * len(candidates) > LARGEST:
                 fitting = cell * (4 * _NODES * len(candidates) / LARGEST) ** (1 / 3)
-                raise InputError("grid_spacing", f"{cell:g} m, which takes {16e-9 * _NODES * len(candidates):.2g} GB",
+                raise InputError("grid_spacing", f"{cell:g} m, which takes "
+                                                 f"{16e-9 * _NODES * len(candidates):.2g} GB",
                                  f"a GiB at most: about {fitting:.2g} m")
             kept, values = self._filled(volume, candidates)
         table = np.zeros(int(np.prod(self._shape)), np.uint32)
@@ -120,7 +125,9 @@ class SparseGrid:
             weight = mi.Float(1.0)
             for step, along in zip((i, j, k), part, strict=True):
                 weight *= along if step else 1.0 - along
-            node = dr.gather(mi.Vector4f, self._nodes, first + ((k * (SIDE + 1) + j) * (SIDE + 1) + i), active)
+            node = dr.gather(
+                mi.Vector4f, self._nodes, first + ((k * (SIDE + 1) + j) * (SIDE + 1) + i), active
+            )
             total += weight * node
         albedo = mi.Color3f(total.y, total.z, total.w) / dr.maximum(total.x, 1e-30)
         return FieldSample(total.x, albedo, dr.zeros(mi.Point3f), dr.zeros(mi.Normal3f))
@@ -148,10 +155,17 @@ class SparseGrid:
             def at(index: mi.UInt32, blocks: mi.UInt32 = blocks) -> mi.Point3f:
                 corner = SIDE * self._place(dr.gather(mi.UInt32, blocks, index // _NODES))
                 node = index % _NODES
-                return self._low + self.cell * (corner + mi.Point3f(node % side, node // side % side, node // side**2))
+                return self._low + self.cell * (
+                    corner + mi.Point3f(node % side, node // side % side, node // side**2)
+                )
 
             used = dr.arange(mi.UInt32, _CHUNK * _NODES) < dr.opaque(mi.UInt32, len(some) * _NODES)
-            values = sample_nodes(volume, at, used).spread(_CHUNK * _NODES).numpy().reshape(_CHUNK, -1)[: len(some)]
+            values = (
+                sample_nodes(volume, at, used)
+                .spread(_CHUNK * _NODES)
+                .numpy()
+                .reshape(_CHUNK, -1)[: len(some)]
+            )
             dense = values[:, ::4].max(1) >= LEAST
             kept.append(some[dense])
             parts.append(values[dense])

@@ -1,12 +1,13 @@
-"""Emission and absorption of several fields along ray segments: fields that overlap are integrated jointly, and surfaces end
-segments.
+"""Emission and absorption of several fields along ray segments: fields that overlap are integrated jointly,
+and surfaces end segments.
 
 Along a segment of length t_s, with the extinctions σ_k and colours c_k of fields k,
 
     L = ∫_0^{t_s} T(t) Σ_k σ_k(t) c_k(t) dt,    T(t) = exp(−∫_0^t Σ_k σ_k(s) ds)
 
-Every field is constant in each of its strata, which are those of `ndf_quadrature`. A field's optical depth is then piecewise linear
-along the ray and can be evaluated at the ends of another field's strata, so that fields need not share strata.
+Every field is constant in each of its strata, which are those of `ndf_quadrature`. A field's optical depth is
+then piecewise linear along the ray and can be evaluated at the ends of another field's strata, so that fields
+need not share strata.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ TILE = 4096
 """Largest number of rays integrated at once. It bounds the candidates' memory, at about 50 bytes each."""
 
 OPAQUE = 1e34
-"""Largest optical depth of a stratum. Sums of these are subtracted from one another, and so must not be infinite."""
+"""Largest optical depth of a stratum. Sums of these are subtracted from one another, and so must not be
+infinite."""
 
 _RAYS = 256
 """Smallest number of rays integrated at once; smaller tiles are filled up."""
@@ -71,10 +73,13 @@ class _Medium:
     colour: list[mi.Float]
 
     def optical_depth(self, ray: mi.UInt32, t: mi.Float) -> mi.Float:
-        """From each ray's origin to the distance t; linear within a stratum, constant before the first and behind the last."""
+        """From each ray's origin to the distance t; linear within a stratum, constant before the first and
+        behind the last."""
         strata = self.strata
         width = dr.gather(mi.Float, strata.width, ray)
-        place = dr.clip((t - dr.gather(mi.Float, strata.near, ray)) / dr.maximum(width, 1e-20), 0.0, float(strata.count))
+        place = dr.clip(
+            (t - dr.gather(mi.Float, strata.near, ray)) / dr.maximum(width, 1e-20), 0.0, float(strata.count)
+        )
         stratum = dr.minimum(mi.UInt32(place), strata.count - 1)
         part = place - mi.Float(stratum)
         index = ray * strata.count + stratum
@@ -85,8 +90,9 @@ class _Medium:
 class Transport:
     """Integrates fields along segments.
 
-    The number of segments that meet a field differs widely between camera rays, shadow rays and later bounces. Sizes enter kernels, so
-    they are rounded up to a few. Keeping the largest size ever needed would evaluate several times as many samples.
+    The number of segments that meet a field differs widely between camera rays, shadow rays and later
+    bounces. Sizes enter kernels, so they are rounded up to a few. Keeping the largest size ever needed would
+    evaluate several times as many samples.
 
     Args:
         samples: candidate samples a segment and field, times the field's `sample_factor`.
@@ -101,25 +107,35 @@ class Transport:
     evaluated: int = 0
 
     def __call__(
-        self, performers: Sequence[Performer], ray: mi.Ray3f, active: mi.Bool | bool = True, jitter: mi.Float | None = None
+        self,
+        performers: Sequence[Performer],
+        ray: mi.Ray3f,
+        active: mi.Bool | bool = True,
+        jitter: mi.Float | None = None,
     ) -> Crossing:
-        """Radiance and transmittance of the segments ``[0, ray.maxt]`` of N rays (evaluated; directions of unit length).
+        """Radiance and transmittance of the segments ``[0, ray.maxt]`` of N rays (evaluated; directions of
+        unit length).
 
-        Only rays that cross a field's box are integrated; the others cost one test of each box. Differentiable, by plain automatic
-        differentiation, in everything that the fields' `evaluate` is attached to, but not in the rays. Inactive segments have radiance
-        0 and transmittance 1.
+        Only rays that cross a field's box are integrated; the others cost one test of each box.
+        Differentiable, by plain automatic differentiation, in everything that the fields' `evaluate` is
+        attached to, but not in the rays. Inactive segments have radiance 0 and transmittance 1.
 
         Args:
             performers: the fields, each of them once.
-            jitter: N numbers in [0, 1): where in its stratum every sample of a ray lies; None for the centres.
+            jitter: N numbers in [0, 1): where in its stratum every sample of a ray lies; None for the
+                centres.
         """
         width = dr.width(ray.d)
         with dr.suspend_grad():
             active = mi.Bool(active) & dr.full(mi.Bool, True, width)
             crossed = [box_interval(performer.volume.bbox, ray)[0] & active for performer in performers]
-            number = sum((dr.select(hit, mi.UInt32(1), 0) for hit in crossed), start=dr.zeros(mi.UInt32, width))
+            number = sum(
+                (dr.select(hit, mi.UInt32(1), 0) for hit in crossed), start=dr.zeros(mi.UInt32, width)
+            )
             # Most rays cross one box. Only those that cross several pay for all fields.
-            groups = [([performer], hit & (number == 1)) for performer, hit in zip(performers, crossed, strict=True)]
+            groups = [
+                ([performer], hit & (number == 1)) for performer, hit in zip(performers, crossed, strict=True)
+            ]
             if len(performers) > 1:
                 groups.append((list(performers), number > 1))
             dr.eval([mask for _, mask in groups])
@@ -134,13 +150,24 @@ class Transport:
                 reals.append(real)
                 rows.append(self._tile(group, ray, index, real, jitter))
         if not rows:
-            return Crossing(mi.Color3f(dr.zeros(mi.Float, width)), dr.full(mi.Float, 1.0, width), dr.zeros(mi.Float, width))
+            return Crossing(
+                mi.Color3f(dr.zeros(mi.Float, width)),
+                dr.full(mi.Float, 1.0, width),
+                dr.zeros(mi.Float, width),
+            )
         index, real = _join(indices), _join(reals)
-        tau, depth, *colour = [scatter(_join(list(row)), index, real, width) for row in zip(*rows, strict=True)]
+        tau, depth, *colour = [
+            scatter(_join(list(row)), index, real, width) for row in zip(*rows, strict=True)
+        ]
         return Crossing(mi.Color3f(*colour), dr.exp(-tau), depth)
 
     def _tile(
-        self, performers: list[Performer], ray: mi.Ray3f, index: mi.UInt32, real: mi.Bool, jitter: mi.Float | None
+        self,
+        performers: list[Performer],
+        ray: mi.Ray3f,
+        index: mi.UInt32,
+        real: mi.Bool,
+        jitter: mi.Float | None,
     ) -> list[mi.Float]:
         """Optical depth, expected distance and the three colours of the chosen rays."""
         with dr.suspend_grad():
@@ -151,7 +178,9 @@ class Transport:
         rows = [dr.zeros(mi.Float, dr.width(index)) for _ in range(5)]
         for one in media:
             weight = _weights(one, [other for other in media if other is not one])
-            for place, value in enumerate((one.tau, weight * one.strata.t, *(weight * c for c in one.colour))):
+            for place, value in enumerate(
+                (one.tau, weight * one.strata.t, *(weight * c for c in one.colour))
+            ):
                 rows[place] += block_sum(value, one.strata.count)
         dr.eval(rows)
         return rows
@@ -171,8 +200,8 @@ class Transport:
 def _weights(one: _Medium, others: list[_Medium]) -> mi.Float:
     """w_i = ∫ over stratum i of T(t) σ_i dt, the share of the stratum's colour that reaches the origin.
 
-    If the optical depth of the others grows linearly by Δ within the stratum, this is
-    exp(−τ(a_i)) · τ_i · (1 − exp(−(τ_i + Δ))) / (τ_i + Δ), where τ(a_i) is the optical depth of all fields before the stratum.
+    If the optical depth of the others grows linearly by Δ within the stratum, this is exp(−τ(a_i)) · τ_i · (1
+    − exp(−(τ_i + Δ))) / (τ_i + Δ), where τ(a_i) is the optical depth of all fields before the stratum.
     """
     if not others:
         return dr.exp(-one.before) * -expm1(-one.tau)
@@ -188,7 +217,8 @@ def _weights(one: _Medium, others: list[_Medium]) -> mi.Float:
         begin = other.optical_depth(ray, start)
         ahead = ahead + begin
         more = other.optical_depth(ray, start + width) - begin
-        # Rounding must not make an empty interval negative. `maximum` would halve or drop the derivative of an empty one.
+        # Rounding must not make an empty interval negative. `maximum` would halve or drop the derivative of
+        # an empty one.
         total = total + dr.select(more < 0, 0.0, more)
     # Near 0 by a series, as the quotient has no derivative there.
     small = total < 1e-3
