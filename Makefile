@@ -1,14 +1,26 @@
-# make demo: set up, then the whole line on a small capture.  make test: set up, then the tests.
-# make bench: set up, then the benchmarks, on what the demo left.
-.PHONY: setup test demo lint bench
+# make demo: set up, then synthesise a small capture, train, compare.
+# make test: set up, then the quick tests. make test-all: all tests. make lint: ruff and mypy.
+# make bench: set up, then the benchmarks, on the demo's capture and run.
+.PHONY: setup test test-all test-long demo lint bench
 
 bin := .venv/bin
 
 setup:
 	@sh tools/setup.sh
 
+# Tests spend most of their time compiling kernels, which takes one core: two processes on two cores are quicker than
+# one with two threads. One file stays in one process, so that its fixtures and kernels are made once.
+WORKERS ?= 2
+pytest := $(bin)/python -m pytest -q -n $(WORKERS) --dist loadfile
+
 test: setup
-	$(bin)/python -m pytest -q
+	$(pytest) -m "not long"
+
+test-long: setup
+	$(pytest) -m long
+
+test-all: setup
+	$(pytest)
 
 demo: setup
 	$(bin)/ndf-mi demo -o demo

@@ -1,8 +1,9 @@
-"""Sets the variant once for all tests: ``NDF_MI_VARIANT``, or what suits the machine. Holds the small run that many tests use."""
+"""Sets the variant once for all tests (``NDF_MI_VARIANT``, or what suits the machine); small runs for many tests."""
 
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,12 @@ import pytest
 from ndf_mi import deprecated, variants
 
 variants.use()
+
+if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
+    # Each worker has its share of the cores: more threads than cores would wait for one another.
+    import drjit as dr  # after ndf_mi, which picks an LLVM that works
+
+    dr.set_thread_count(max((os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 1))
 
 pytest_plugins = ["sphere_capture", "lit_capture", "trained_run"]
 

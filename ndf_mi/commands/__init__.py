@@ -1,8 +1,8 @@
-"""The command line ``ndf-mi``: finds the command, reads its options, runs it; a user's mistake is exit code 2.
+"""The command line ``ndf-mi``: finds the command, parses its options, runs it.
 
-Each command is one module here with one dataclass: a docstring on every field (the options are made of it) and a method
-``run() -> int | None``, the exit code. A module is imported only when its command is called. Options that were renamed
-stand in the class attribute ``deprecated``, as :mod:`ndf_mi.deprecated` describes.
+Each command is one module here with one dataclass. Its fields are the options, their docstrings the help; its
+method ``run() -> int | None`` returns the exit code, None for 0. The class attribute ``deprecated`` lists
+renamed options (:mod:`ndf_mi.deprecated`). A module is imported only when its command is called.
 """
 
 from __future__ import annotations
@@ -22,44 +22,54 @@ from ndf_mi.errors import InputError
 USAGE_ERROR = 2
 INTERRUPTED = 130
 UNREAD = 141
-"""As shells report a process that SIGPIPE ended."""
+"""What shells report for a process that SIGPIPE ended."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A command: its words, the module and class behind it, and what it does in one line."""
+    """A command.
+
+    Attributes:
+        name: the words that call it, such as ``capture check``.
+        module: the module here that holds it.
+        cls: its dataclass.
+        summary: what it does, in one line.
+        variant: whether a variant of Mitsuba is set before the module is imported.
+    """
 
     name: str
     module: str
     cls: str
     summary: str
     variant: bool = True
-    """Whether a variant of Mitsuba is set before the module is imported."""
 
 
 ENTRIES = (
-    Entry("doctor", "doctor", "Doctor", "say what is installed, what works, and how to repair the rest", variant=False),
-    Entry("capture synthesise", "capture_synthesise", "CaptureSynthesise", "render a capture of a synthetic performer"),
-    Entry("capture check", "capture_check", "CaptureCheck", "say exactly what is wrong with a capture folder"),
-    Entry("capture import", "capture_import", "CaptureImport", "make a capture of one of ZJU-MoCap or DynaCap"),
-    Entry("plan", "plan", "PlanCapture", "say which model a capture needs, and why"),
+    Entry("doctor", "doctor", "Doctor", "report what works here, and how to repair the rest", variant=False),
+    Entry("capture synthesise", "capture_synthesise", "CaptureSynthesise", "render a synthetic performer's capture"),
+    Entry("capture check", "capture_check", "CaptureCheck", "report what is wrong with a capture"),
+    Entry("capture import", "capture_import", "CaptureImport", "convert ZJU-MoCap or DynaCap into a capture"),
+    Entry("plan", "plan", "PlanCapture", "find which parts of the model a capture needs, and why"),
     Entry("optimise", "optimise", "Optimise", "train a neural deformable field on a capture"),
-    Entry("compare", "compare", "Compare", "compare a trained field with a textured mesh; write report.html"),
-    Entry("relight", "relight", "Relight", "show a run in another light, beside a diffuse textured mesh"),
-    Entry("ablate", "ablate", "Ablate", "train every ablation on a capture; write their table and report.html"),
-    Entry("tradeoff", "tradeoff", "Tradeoff", "measure what speed costs in accuracy on a run; write report.html"),
+    Entry("compare", "compare", "Compare", "compare a trained field with other methods; write report.html"),
+    Entry("relight", "relight", "Relight", "render a scattering field in another light; write report.html"),
+    Entry("ablate", "ablate", "Ablate", "train every ablation on a capture; write a table and report.html"),
+    Entry("tradeoff", "tradeoff", "Tradeoff", "measure what speed costs in accuracy; write report.html"),
     Entry("render", "render", "Render", "render a scene or a trained run to an image"),
-    Entry("animate", "animate", "Animate", "render a trained run in any motion, as a video"),
-    Entry("stability", "stability", "Stability", "hold numbers at their extremes against float64; exit non-zero where a promise is broken"),
-    Entry("demo", "demo", "Demo", "all of the above on a small capture, in minutes"),
+    Entry("animate", "animate", "Animate", "render a trained run in another motion, as a video"),
+    Entry("stability", "stability", "Stability", "compare numbers at their extremes with float64"),
+    Entry("demo", "demo", "Demo", "synthesise a small capture, train, compare; about ten minutes"),
 )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs ``ndf-mi``; ``argv`` defaults to the process's arguments.
+    """Runs ``ndf-mi``.
+
+    Args:
+        argv: the arguments; None for the process's own.
 
     Returns:
-        The exit code: 0, the command's own, 2 for a user's mistake, 130 where the user interrupted.
+        the exit code: the command's own, 2 for invalid input, 130 after an interrupt.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments[:1] == ["--version"]:
@@ -79,17 +89,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("ndf-mi: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except SystemExit as leaving:  # tyro's: 0 after --help, 2 after a usage error
-        return leaving.code if isinstance(leaving.code, int) else int(leaving.code is not None)
+    except SystemExit as exit_:  # tyro's: 0 after --help, 2 after a usage error
+        return exit_.code if isinstance(exit_.code, int) else int(exit_.code is not None)
 
 
 def console() -> int:
-    """What the installed command calls: :func:`main`, ending quietly where nobody reads on, as in ``ndf-mi --help | head -1``."""
+    """The installed command: :func:`main`, without an error where its output is cut (``ndf-mi --help | head``)."""
     try:
         code = main()
         sys.stdout.flush()
     except BrokenPipeError:
-        # The interpreter flushes once more when it leaves.
+        # The interpreter flushes again when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNREAD
     return code
@@ -108,7 +118,9 @@ def usage(entries: Sequence[Entry]) -> str:
     """The list of commands, as ``--help`` shows it."""
     width = max(len(entry.name) for entry in entries)
     lines = [f"  {entry.name:<{width}}  {entry.summary}" for entry in entries]
-    return "\n".join(["usage: ndf-mi COMMAND [OPTIONS]; `ndf-mi COMMAND --help` lists the options", "", *lines])
+    return "\n".join(
+        ["usage: ndf-mi COMMAND [OPTIONS]; `ndf-mi COMMAND --help` lists the options", "", *lines]
+    )
 
 
 def _parse(entry: Entry, arguments: Sequence[str]) -> Any:
@@ -120,16 +132,18 @@ def _parse(entry: Entry, arguments: Sequence[str]) -> Any:
 
     cls = getattr(importlib.import_module(f"{__name__}.{entry.module}"), entry.cls)
     arguments = rewrite_arguments(arguments, getattr(cls, "deprecated", ()))
-    return tyro.cli(cls, prog=f"ndf-mi {entry.name}", args=arguments, description=inspect.cleandoc(cls.__doc__ or ""))
+    return tyro.cli(
+        cls, prog=f"ndf-mi {entry.name}", args=arguments, description=inspect.cleandoc(cls.__doc__ or "")
+    )
 
 
 def _no_such_command(arguments: Sequence[str]) -> int:
-    """Prints the commands that there are, those of a group (``capture``) alone where one was named."""
+    """Prints the list of commands, or of a group's (``capture``) where `arguments` begin with one."""
     word = arguments[0] if arguments else ""
     group = [entry for entry in ENTRIES if entry.name.split()[0] == word]
     asked_for_help = bool(group) and arguments[1:] in (["-h"], ["--help"])
     if not asked_for_help:
-        known = f"`{' '.join(arguments[:2] if group else arguments[:1])}`" if arguments else "no command"
-        print(f"ndf-mi: error: found {known}; expected one of those below", file=sys.stderr)
+        found = f"`{' '.join(arguments[:2] if group else arguments[:1])}`" if arguments else "no command"
+        print(f"ndf-mi: error: found {found}; expected one of these commands:", file=sys.stderr)
     print(usage(group or ENTRIES), file=sys.stdout if asked_for_help else sys.stderr)
     return 0 if asked_for_help else USAGE_ERROR

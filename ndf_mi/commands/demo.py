@@ -1,4 +1,4 @@
-"""``ndf-mi demo``: the whole line on a small capture."""
+"""``ndf-mi demo``: synthesises a small capture, trains a field on it, compares it with textured meshes."""
 
 from __future__ import annotations
 
@@ -12,24 +12,23 @@ import tyro
 
 @dataclass
 class Demo:
-    """Make a small capture, train a field on it, compare it with textured meshes and write report.html. What an earlier call has
-    finished is kept; a stopped one goes on.
+    """Synthesise a small capture, train a field on it, compare it with textured meshes and write report.html.
 
-    The textured mesh is trained until its loss stops falling (once more for the field's time where that takes longer),
-    the one with vertex offsets for the field's time.
+    Finished parts are kept: repeat the command after an interrupt and it continues. The textured mesh is trained until
+    its loss stops falling, the mesh with vertex offsets for as long as the field.
     """
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo")
-    """The folder for the capture, the run and the report."""
+    """Folder for the capture, the run and the report."""
 
     seconds: float = 150.0
-    """Time to train the field for, and the mesh with offsets; a field that an earlier call has begun keeps what it was begun with."""
+    """Training time of the field. A field that is already begun keeps its own."""
 
     seed: int = 0
-    """Of the capture, the training and the comparison."""
+    """Seed of the capture, the training and the comparison."""
 
     def run(self) -> int:
-        """Runs the three commands, one after another."""
+        """Runs the three commands one after another."""
         from ndf_mi.capture.check import problems
         from ndf_mi.commands.capture_synthesise import CaptureSynthesise
         from ndf_mi.commands.compare import Compare
@@ -37,21 +36,22 @@ class Demo:
 
         started = time.perf_counter()
         capture, run = self.out / "capture", self.out / "run"
-        damaged = (capture / "capture.json").exists() and bool(problems(capture))
-        if damaged or not (capture / "capture.json").exists():
-            _say(f"1/3  a capture of a synthetic performer: {capture}")
+        exists = (capture / "capture.json").exists()
+        damaged = exists and bool(problems(capture))
+        if damaged or not exists:
+            _print_step(f"1/3  synthesising a capture: {capture}")
             CaptureSynthesise(out=capture, size="quick", seed=self.seed, overwrite=damaged).run()
         if (run / "config.json").exists():
-            _say(f"2/3  going on with the field: {run}")
+            _print_step(f"2/3  continuing the training of the field: {run}")
             Optimise(capture=capture, out=run, resume=True).run()
         else:
-            _say(f"2/3  training a field for {self.seconds:.0f} s: {run}")
+            _print_step(f"2/3  training a field for {self.seconds:.0f} s: {run}")
             Optimise(capture=capture, out=run, seconds=self.seconds, seed=self.seed).run()
-        _say("3/3  training the textured meshes, comparing all on held-out views and poses")
+        _print_step("3/3  training textured meshes, comparing all on held-out views and poses")
         Compare(run_folder=run, capture=capture, out=self.out, seed=self.seed, offsets="equal-time").run()
-        _say(f"done in {time.perf_counter() - started:.0f} s: open {self.out / 'report.html'}")
+        _print_step(f"done in {time.perf_counter() - started:.0f} s: open {self.out / 'report.html'}")
         return 0
 
 
-def _say(text: str) -> None:
+def _print_step(text: str) -> None:
     print(f"\n== {text}", flush=True)
