@@ -49,6 +49,6 @@ def test_links_lead_somewhere(page):
 
 def test_every_command_has_a_line_in_the_manual():
     manual = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
-    named = re.findall(r"ndf-mi ([a-z]+(?: (?:synthesise|check|import))?)", README + manual)
+    named = re.findall(r"(?:^|`)ndf-mi ([a-z]+(?: (?:synthesise|check|import))?)", README + manual, re.M)
     assert {entry.name for entry in ENTRIES} == {found.name for words in named if (found := find(words.split()))}
     assert not [words for words in named if find(words.split()) is None]
