@@ -1,36 +1,58 @@
-"""Reading a dataclass of options back from JSON: unknown names and wrong kinds are the user's mistake, told by name."""
+"""Dataclasses of options from JSON values: unknown names and wrong types are reported by name."""
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
 
 from ndf_mi.errors import InputError
+from ndf_mi.json_input import shown
 
 T = TypeVar("T")
 
+_KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: "a text",
+          tuple: "a list of whole numbers such as [64,64]"}
 
-def read_options(default: T, values: dict[str, Any], where: str) -> T:
-    """An instance of `default`'s dataclass with `values`; entries that are missing have the class's defaults.
+
+def option_value(options: type, name: str, value: Any, where: str) -> Any:
+    """A JSON value as the type of an option; lists become tuples, and whole numbers are numbers.
 
     Args:
-        default: an instance whose entries say what kind each is; lists stand for tuples, whole numbers may stand for numbers.
-        values: the entries, as JSON has them.
-        where: the file and key they come from.
+        options: the dataclass of the option.
+        name: the option.
+        value: the value.
+        where: file and key, or command-line option, for messages.
 
     Raises:
-        InputError: an entry does not exist, is of another kind, or is refused by the dataclass itself.
+        InputError: there is no such option, or the value has another type.
     """
-    known = {field.name for field in dataclasses.fields(default)}  # type: ignore[arg-type]
-    unknown = sorted(set(values) - known)
-    if unknown:
-        raise InputError(where, f"the option {unknown[0]!r}", "one of " + ", ".join(sorted(known)))
-    cleaned: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
-    for key, value in cleaned.items():
-        kind = type(getattr(default, key))
-        if not isinstance(value, kind) and not (kind is float and isinstance(value, int)):
-            raise InputError(f"{where}: {key}", repr(value), f"a {kind.__name__}")
+    hints = get_type_hints(options)
+    if name not in hints:
+        raise InputError(where, f"the option {name!r}", "one of " + ", ".join(sorted(hints)))
     try:
-        return type(default)(**cleaned)
+        return msgspec.convert(value, hints[name])
+    except msgspec.ValidationError:
+        kind = get_origin(hints[name]) or hints[name]
+        expected = _KINDS.get(kind) or "one of " + ", ".join(map(str, get_args(hints[name])))
+        raise InputError(f"{where}: {name}", shown(value), expected) from None
+
+
+def read_options(options: type[T], values: dict[str, Any], where: str) -> T:
+    """An instance of the dataclass `options`; missing entries have its defaults.
+
+    Args:
+        options: the dataclass.
+        values: the entries as JSON values.
+        where: file and key, for messages.
+
+    Raises:
+        InputError: an entry does not exist, has another type, or is refused by the dataclass.
+    """
+    assert dataclasses.is_dataclass(options)
+    converted = {name: option_value(options, name, value, where) for name, value in values.items()}
+    try:
+        return options(**converted)
     except InputError as error:
         raise InputError(f"{where}: {error.where}", error.found, error.expected) from None

@@ -30,26 +30,23 @@ class Animate:
     """Folder of the run."""
 
     motion: str
-    """A .bvh file, an AMASS-like .npz, a capture's poses.npz, JSON keyframes, or a built-in clip: climb,
-    jump, walk."""
+    """A .bvh, an AMASS-like .npz, a poses.npz, JSON keyframes, or a built-in clip: climb, jump, walk."""
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The video: NAME.mp4."""
 
     camera: str = "orbit"
-    """orbit: circle the performer and follow it. CAPTURE:NAME: a camera of a capture. FILE: keyframed cameras
-    in nerfstudio's JSON."""
+    """orbit: circle and follow the performer. CAPTURE:NAME: a capture's camera. FILE: keyframes of
+    nerfstudio."""
 
     shape: str | None = None
-    """Shape coefficients that replace the performer's: by name, as in height=0.3,weight=-0.5, or the first
-    ones as numbers."""
+    """Shape coefficients to replace: by name, as in height=0.3,weight=-0.5, or the first ones as numbers."""
 
     fps: float | None = None
     """Frames a second. By default those of a JSON motion, else 30. A poses.npz has one row a frame."""
 
     frames: str | None = None
-    """Part of the motion's frames as FIRST:END:STEP, like a Python slice; a step lowers the video's frame
-    rate."""
+    """Part of the motion as FIRST:END:STEP, like a Python slice; a step lowers the video's frame rate."""
 
     size: tuple[int, int] | None = None
     """Width and height in pixels. By default the camera's own, or 512 × 512 for orbit."""
@@ -64,8 +61,7 @@ class Animate:
     """sRGB in [0, 1] behind the performer; by default the run's own."""
 
     place: Literal["world", "centre", "treadmill"] = "world"
-    """world: the motion's own path. centre: the path, centred at the origin. treadmill: always above the
-    origin."""
+    """world: the motion's own path. centre: the path centred at the origin. treadmill: above the origin."""
 
     up: Literal["z", "y"] | None = None
     """Vertical axis of an AMASS-like motion; z by default."""

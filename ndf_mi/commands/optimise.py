@@ -32,19 +32,16 @@ class Optimise:
     preset: Annotated[str, tyro.conf.arg(help=f"Architecture: {PRESET_HELP}.")] = "fast"
 
     model: str | None = None
-    """`auto`: the architecture that `ndf-mi plan` chooses for the capture; or the file of a plan. Replaces
-    --preset."""
+    """`auto`, or a plan's file: the architecture that `ndf-mi plan` chooses. Replaces --preset."""
 
     ablation: Annotated[str, tyro.conf.arg(
         help=f"Remove or replace a part of the method: one of {', '.join(ABLATION_NAMES)}.")] = "full"
 
     integrator: str = "ndf_quadrature"
-    """ndf_quadrature: the field emits and absorbs, and contains the capture's light. prbvolpath: density and
-    albedo through scattering under the capture's known lighting, after `warm_up` steps by quadrature (see
-    --option)."""
+    """ndf_quadrature: emission and absorption. prbvolpath: scattering under the capture's known light."""
 
     steps: int | None = None
-    """Number of steps; with prbvolpath `warm_up` plus 1,000 by default."""
+    """Number of steps. With prbvolpath `warm_up` by quadrature and 1,000 more by default."""
 
     seconds: float | None = None
     """Training time; the learning rates then decay with the clock."""

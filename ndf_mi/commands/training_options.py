@@ -13,6 +13,7 @@ from ndf_mi.field import PRESETS, Preset, preset
 from ndf_mi.learn.ablations import ABLATIONS, ablation
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import SCATTERING_STEPS, check_integrator, relightable
+from ndf_mi.options import option_value
 from ndf_mi.run import QUADRATURE
 
 #: Steps of a training that ends by the clock: more than it can take.
@@ -77,31 +78,17 @@ def configured(
         name = rename_entry(name.strip().replace("-", "_"), {**PRESET_FIELDS, **TRAINING_FIELDS})
         if not equals or name not in NAMES:
             raise InputError("--option", repr(text), "NAME=VALUE, NAME one of " + ", ".join(NAMES))
-        changes[name] = _value(text, value, getattr(base if name in _ARCHITECTURE else training, name))
+        options = Preset if name in _ARCHITECTURE else TrainingOptions
+        changes[name] = option_value(options, name, _parsed(value), "--option")
     return (dataclasses.replace(base,
                                 **{name: value for name, value in changes.items() if name in _ARCHITECTURE}),
             dataclasses.replace(training,
                                 **{name: value for name, value in changes.items() if name in _TRAINING}))
 
 
-def _value(text: str, value: str, current: Any) -> Any:
-    """VALUE as the type of the option's current value."""
-    if isinstance(current, str):
-        return value
+def _parsed(value: str) -> Any:
+    """VALUE as JSON, or the text itself where it is none."""
     try:
-        found = json.loads(value)
+        return json.loads(value)
     except (ValueError, RecursionError):
-        found = None
-    if isinstance(current, tuple) and isinstance(found, list) and all(type(v) is int for v in found):
-        return tuple(found)
-    if isinstance(current, float) and isinstance(found, (int, float)) and not isinstance(found, bool):
-        return float(found)
-    if isinstance(current, bool):
-        if isinstance(found, bool):
-            return found
-        raise InputError("--option", repr(text), "true or false")
-    if isinstance(current, int) and type(found) is int:
-        return found
-    kind = "a list of whole numbers such as [64,64]" if isinstance(current,
-                                                                   tuple) else f"a number such as {current}"
-    raise InputError("--option", repr(text), kind)
+        return value

@@ -201,7 +201,7 @@ class Preset:
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "preset") -> Preset:
         """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
-        return read_options(PRESETS["fast"], rename_entries(values, PRESET_FIELDS), where)
+        return read_options(cls, rename_entries(values, PRESET_FIELDS), where)
 
 
 #: Options that older files lack, and their defaults.

@@ -1,4 +1,4 @@
-"""What a training step takes besides the parameters: rays and all random numbers, drawn in a fixed order."""
+"""What a training step takes besides the parameters: rays with their targets, and all random numbers."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import mitsuba as mi
 import numpy as np
+from scipy import ndimage
 
-from ndf_mi.body.poses import Poses
+from ndf_mi.capture.capture import Capture
+from ndf_mi.capture.pixels import box_pixels, pixel_rays
+from ndf_mi.errors import InputError
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.rays import RayBatch, RaySampler
 
 
 @dataclass(frozen=True)
@@ -27,17 +29,29 @@ class PathSeeds:
 
 @dataclass(frozen=True)
 class Batch:
-    """The input of one step.
+    """The input of one step: R rays of one frame. All arrays are float32.
 
     Attributes:
-        rays: R rays of one frame with their targets.
-        jitter: flat float32 in [0, 1), a number for each candidate sample of each ray, ray by ray.
-        pose: flat (3·J,) float32 axis-angles that the networks see, with noise.
+        frame: the frame's number.
+        origin, direction: (3, R) world space; directions have unit length.
+        target: (3, R) sRGB in [0, 1].
+        mask: (R,) 1 on the performer, else 0.
+        mask_valid: (R,) 1 where the mask gives the opacity, 0 near its edge, where pixels are partly covered.
+        in_box: (R,) 1 for pixels drawn from the whole box, 0 for those drawn from the mask, which are drawn
+            more often than they occur in an image.
+        jitter: in [0, 1), one number for each candidate sample of each ray, ray by ray.
+        pose: (3·J,) axis-angles that the networks see, with noise.
         edge_active: whether the loss's term at the band's edge counts.
         paths: only for steps through scattering.
     """
 
-    rays: RayBatch
+    frame: int
+    origin: np.ndarray
+    direction: np.ndarray
+    target: np.ndarray
+    mask: np.ndarray
+    mask_valid: np.ndarray
+    in_box: np.ndarray
     jitter: np.ndarray
     pose: np.ndarray
     edge_active: bool
@@ -46,32 +60,100 @@ class Batch:
     @property
     def ray(self) -> mi.Ray3f:
         """The rays as Mitsuba's."""
-        return mi.Ray3f(mi.Point3f(self.rays.origin), mi.Vector3f(self.rays.direction))
+        return mi.Ray3f(mi.Point3f(self.origin), mi.Vector3f(self.direction))
+
+
+@dataclass(frozen=True)
+class _View:
+    """One training image: 8-bit colours, masks, and the indices of the pixels that may be drawn."""
+
+    image: np.ndarray
+    mask: np.ndarray
+    mask_valid: np.ndarray
+    mask_pixels: np.ndarray
+    box_pixels: np.ndarray
 
 
 class BatchSampler:
-    """Draws batches.
+    """Draws batches from the training split, each from all cameras of one frame. All images are held in
+    memory.
 
     Args:
-        rays: draws the rays.
-        poses: of the run.
-        options: `rays`, `samples` and `pose_noise` are used.
+        capture: the capture.
+        options: sampling.
         sample_factor: of the preset.
+
+    Raises:
+        InputError: the split is empty, or an image shows nothing of the performer.
     """
 
-    def __init__(self, rays: RaySampler, poses: Poses, options: TrainingOptions, sample_factor: int) -> None:
-        self._rays = rays
-        self._poses = poses
-        self._pose_noise = options.pose_noise
+    def __init__(self, capture: Capture, options: TrainingOptions, sample_factor: int) -> None:
+        split = capture.splits["train"]
+        self._options = options
+        self._poses = capture.poses
         self._candidates = options.rays * options.samples * sample_factor
+        self._frames = split.frames
+        self._cameras = [capture.cameras[name] for name in split.cameras]
+        if not self._frames or not self._cameras:
+            raise InputError(f"{capture.path / 'capture.json'}: splits.train", "no cameras or no frames",
+                             "at least one of each")
+        self._views: dict[tuple[int, int], _View] = {}
+        for row, frame in enumerate(self._frames):
+            vertices = capture.poses.vertices[capture.poses.index(frame)]
+            low, high = vertices.min(0) - options.box_padding, vertices.max(0) + options.box_padding
+            for column, name in enumerate(split.cameras):
+                mask = capture.mask(name, frame)
+                allowed = ~_edge(mask, options.edge_kernel)
+                box = box_pixels(self._cameras[column], low, high) & allowed
+                if not (mask & allowed).any() or not box.any():
+                    raise InputError(f"camera {name}, frame {frame}", "no pixel of the performer in view",
+                                     "a mask that is not empty")
+                self._views[row, column] = _View(
+                    np.round(capture.image(name, frame) * 255).astype(np.uint8).reshape(-1, 3), mask.ravel(),
+                    ~_edge(mask, options.opacity_edge).ravel(),
+                    np.flatnonzero(mask & allowed).astype(np.uint32), np.flatnonzero(box).astype(np.uint32))
 
-    def __call__(self, rng: np.random.Generator, edge_active: bool, scattering: bool) -> Batch:
-        """A random batch; for a step through scattering with the seeds of its paths."""
-        rays = self._rays(rng)
+    def __call__(self, rng: np.random.Generator, edge_active: bool = False,
+                 scattering: bool = False) -> Batch:
+        """A random batch: `rays` rays of a random frame, spread evenly over the cameras.
+
+        Args:
+            rng: source of all random numbers, drawn in an order that does not change.
+            edge_active: whether the loss's term at the band's edge counts.
+            scattering: whether the step is through scattering and needs seeds for its paths.
+        """
+        options = self._options
+        row = int(rng.integers(len(self._frames)))
+        counts = np.full(len(self._cameras), options.rays // len(self._cameras))
+        counts[: options.rays % len(self._cameras)] += 1
+        rng.shuffle(counts)
+        parts = [self._draw(rng, row, column, int(count)) for column, count in enumerate(counts) if count]
+        rays = [np.concatenate(columns, axis=-1, dtype=np.float32) for columns in zip(*parts, strict=True)]
         jitter = rng.random(self._candidates, dtype=np.float32)
-        pose = self._poses.pose[self._poses.index(rays.frame)].astype(np.float32)
-        if self._pose_noise > 0:
-            # All joints but the root, whose rotation is not part of the pose vector.
-            pose[1:] += rng.normal(0.0, self._pose_noise, pose[1:].shape).astype(np.float32)
+        pose = self._poses.pose[self._poses.index(self._frames[row])].astype(np.float32)
+        if options.pose_noise > 0:
+            # All joints but the root, whose rotation the networks never see.
+            pose[1:] += rng.normal(0.0, options.pose_noise, pose[1:].shape).astype(np.float32)
         paths = PathSeeds(rng.random(3), int(rng.integers(2**32))) if scattering else None
-        return Batch(rays, jitter, pose.ravel(), edge_active, paths)
+        origin, direction, target, mask, mask_valid, in_box = rays
+        return Batch(self._frames[row], origin, direction, target, mask, mask_valid, in_box, jitter, pose.ravel(),
+                     edge_active, paths)
+
+    def _draw(self, rng: np.random.Generator, row: int, column: int, count: int) -> tuple[np.ndarray, ...]:
+        view = self._views[row, column]
+        on_mask = round(count * self._options.mask_share)
+        pixels = np.concatenate([rng.choice(view.mask_pixels, on_mask),
+                                 rng.choice(view.box_pixels, count - on_mask)])
+        origin, direction = pixel_rays(self._cameras[column], pixels)
+        target = view.image[pixels].T.astype(np.float32) / 255
+        in_box = np.arange(count) >= on_mask
+        return origin, direction, target, view.mask[pixels], view.mask_valid[pixels], in_box
+
+
+def _edge(mask: np.ndarray, kernel: int) -> np.ndarray:
+    """Pixels around which a square of `kernel` pixels holds performer and background (dilation minus
+    erosion)."""
+    if kernel < 2:
+        return np.zeros_like(mask)
+    square = np.ones((kernel, kernel), bool)
+    return ndimage.binary_dilation(mask, square) & ~ndimage.binary_erosion(mask, square, border_value=1)

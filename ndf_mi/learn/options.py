@@ -139,7 +139,7 @@ class TrainingOptions:
         """The options from JSON values. Raises InputError for an unknown option or a wrong type."""
         # Trainings that were saved before these options existed ran without them.
         before = {"pose_noise": 0.0, "opacity_edge": 0, "min_transmittance": 0.0}
-        return read_options(cls(), before | rename_entries(values, TRAINING_FIELDS), where)
+        return read_options(cls, before | rename_entries(values, TRAINING_FIELDS), where)
 
     @classmethod
     def paper(cls) -> TrainingOptions:

@@ -121,13 +121,13 @@ class ScatteringStep:
         if batch.paths is None:
             raise ValueError("a step through scattering needs a batch with path seeds")
         density_terms, radiance, _ = self._quadrature.density_terms(parameters, batch)
-        frame = batch.rays.frame
+        frame = batch.frame
         # Without an occupancy: all nodes in the band are evaluated.
         posed = PosedModel(self._run.model, parameters, self._run.surface(frame), mi.Float(batch.pose))
         baked = self._scene.place(posed, frame, batch.paths.shift)
         ray = repeated(batch.ray, self._paths)
         colours = self._replay.radiance(ray, batch.paths.seed)
-        error, adjoint = self._loss(colours, mi.Color3f(batch.rays.target))
+        error, adjoint = self._loss(colours, mi.Color3f(batch.target))
         self._replay.backward(ray, batch.paths.seed, colours, adjoint)
         # Has the value of the error, and its gradients by way of the nodes.
         vjp = baked.vjp(self._scene.gradient())

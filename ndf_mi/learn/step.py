@@ -66,21 +66,21 @@ class QuadratureStep:
 
     def __call__(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Statistics]:
         radiance, posed = self._radiance(parameters, batch)
-        rays = batch.rays
-        loss = self._loss(radiance, mi.Color3f(rays.target), mi.Float(rays.mask), mi.Float(rays.mask_valid),
-                          mi.Float(rays.in_box), batch.edge_active)
+        loss = self._loss(radiance, mi.Color3f(batch.target), mi.Float(batch.mask),
+                          mi.Float(batch.mask_valid),
+                          mi.Float(batch.in_box), batch.edge_active)
         return loss.total, statistics(radiance, posed, loss.image, loss.box)
 
     def density_terms(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Radiance,
                                                                                 PosedModel]:
         """The loss's terms in the density alone, one number, and what they were computed from."""
         radiance, posed = self._radiance(parameters, batch)
-        mask, mask_valid = mi.Float(batch.rays.mask), mi.Float(batch.rays.mask_valid)
+        mask, mask_valid = mi.Float(batch.mask), mi.Float(batch.mask_valid)
         return self._loss.density_terms(radiance, mask, mask_valid, batch.edge_active), radiance, posed
 
     def _radiance(self, parameters: FieldParameters, batch: Batch) -> tuple[Radiance, PosedModel]:
         run, options = self._run, self._options
-        posed = PosedModel(run.model, parameters, run.surface(batch.rays.frame), mi.Float(batch.pose),
+        posed = PosedModel(run.model, parameters, run.surface(batch.frame), mi.Float(batch.pose),
                            self._occupancy)
         radiance = quadrature(posed, batch.ray, options.samples, jitter=mi.Float(batch.jitter),
                               min_transmittance=options.min_transmittance)

@@ -20,7 +20,6 @@ from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.learn.batch import Batch, BatchSampler
 from ndf_mi.learn.guard import Guard
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.rays import RaySampler
 from ndf_mi.learn.scattering import ScatteringStep, capture_lights
 from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
 from ndf_mi.learn.step import QuadratureStep, Statistics, Step
@@ -91,14 +90,12 @@ class Trainer:
     def __init__(self, run: Run, capture: Capture, options: TrainingOptions) -> None:
         self.run = run
         self.options = options
-        split = capture.splits["train"]
-        self._frames = split.frames
+        self._frames = capture.splits["train"].frames
         self._lights: dict[str, Any] = {}
         if options.integrator != QUADRATURE:
             self._lights = capture_lights(run, capture, options)
-        rays = RaySampler(capture, split, options)
         self.batches: Callable[[np.random.Generator, bool, bool], Batch] = BatchSampler(
-            rays, run.poses, options, run.model.field.preset.sample_factor)
+            capture, options, run.model.field.preset.sample_factor)
         self._rng = np.random.default_rng([options.seed, 1])
         self._occupancy = Occupancy(threshold=_EMPTY) if options.skip_empty else None
         self._quadrature = QuadratureStep(run, options, self._occupancy)

@@ -182,9 +182,9 @@ def _one_step(part: str, value: float) -> tuple[tuple[np.ndarray, np.ndarray], n
 
         def broken(rng: np.random.Generator, edge_active: bool, scattering: bool) -> Batch:
             batch = draw(rng, edge_active, scattering)
-            values = getattr(batch.rays, part).copy()
+            values = getattr(batch, part).copy()
             values[..., 5] = value
-            return dataclasses.replace(batch, rays=dataclasses.replace(batch.rays, **{part: values}))
+            return dataclasses.replace(batch, **{part: values})
 
         before = weights_of(trainer)
         trainer.batches = broken

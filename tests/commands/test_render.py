@@ -101,7 +101,7 @@ def test_optimise_and_resume(capture, tmp_path, capsys):
 @pytest.mark.parametrize(("arguments", "words"), [
     (["--preset", "huge"], "fast"),
     (["--option", "colour=3"], "NAME one of"),
-    (["--option", "band=wide"], "a number such as"),
+    (["--option", "band=wide"], "a number"),
     (["--option", "density_layers=64"], "a list of whole numbers"),
     (["--resume", "--steps", "5"], "--resume"),
     (["--resume", "--preset", "paper"], "--resume"),

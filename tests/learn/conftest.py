@@ -27,8 +27,7 @@ def poison() -> Callable[[Trainer, Collection[int]], list[bool]]:
             drawn.append(scattering)
             if next(count) not in numbers:
                 return batch
-            target = np.full_like(batch.rays.target, np.nan)
-            return dataclasses.replace(batch, rays=dataclasses.replace(batch.rays, target=target))
+            return dataclasses.replace(batch, target=np.full_like(batch.target, np.nan))
 
         trainer.batches = batches
         return drawn

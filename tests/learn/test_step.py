@@ -11,7 +11,6 @@ import pytest
 from ndf_mi.field import FieldParameters, preset
 from ndf_mi.learn.batch import BatchSampler
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.rays import RaySampler
 from ndf_mi.learn.step import QuadratureStep
 from ndf_mi.run import Run
 
@@ -27,8 +26,7 @@ def run(capture, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def batch(capture, run):
-    sampler = BatchSampler(RaySampler(capture, capture.splits["train"], OPTIONS), run.poses, OPTIONS, 1)
-    return sampler(np.random.default_rng(0), edge_active=True, scattering=False)
+    return BatchSampler(capture, OPTIONS, 1)(np.random.default_rng(0), edge_active=True)
 
 
 def test_nothing_is_left_behind(run, batch):

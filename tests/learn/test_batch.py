@@ -1,12 +1,12 @@
-"""Drawn rays have the targets, masks and frequencies that they claim."""
+"""Batches: rays have the targets, masks and frequencies that they claim."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
+from ndf_mi.learn.batch import BatchSampler
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.rays import RaySampler
 
 #: Width of a pixel at the ball, in metres.
 PIXEL = 2.5 / 72
@@ -14,7 +14,7 @@ PIXEL = 2.5 / 72
 
 def draw(capture, **changes):
     options = dataclasses.replace(TrainingOptions(seed=4), **changes)
-    return RaySampler(capture, capture.splits["train"], options)(np.random.default_rng(0))
+    return BatchSampler(capture, options, 1)(np.random.default_rng(0))
 
 
 def distance_to_the_ball(capture, batch):
