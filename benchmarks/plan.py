@@ -62,7 +62,7 @@ from ndf_mi.learn.trainer import Trainer  # noqa: E402
 from ndf_mi.methods.ndf import NeuralField  # noqa: E402
 from ndf_mi.planning.plan import Plan  # noqa: E402
 from ndf_mi.planning.planner import full_model, plan, put_back  # noqa: E402
-from ndf_mi.render.profile import code_digest, sources_digest  # noqa: E402
+from ndf_mi.source_digest import code_digest, sources_digest  # noqa: E402
 
 WORTH, SHARE = 0.1, 0.6
 """dB that a planned model may be worse by and a part has to be worth, and the share of the full model's time

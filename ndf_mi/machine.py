@@ -1,9 +1,10 @@
-"""What machine and which versions figures were measured with."""
+"""Describes the machine and the versions that figures were measured with."""
 
 from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Sequence
 from pathlib import Path
 
 import drjit as dr
@@ -14,49 +15,58 @@ import ndf_mi
 
 def describe() -> dict[str, str]:
     """Label → value, for people to read: processor, cores, memory, system, versions, variant."""
+    llvm = dr.detail.llvm_version()
+    versions = {
+        "ndf-mi": ndf_mi.__version__,
+        "Mitsuba": mi.__version__,
+        "Dr.Jit": dr.__version__,
+        "LLVM": ".".join(map(str, llvm)) if llvm else "none",
+        "Python": platform.python_version(),
+    }
     return {
         "Processor": _processor(),
-        "Cores": _cores(),
+        "Cores": f"{usable_cores(cpu_quotas()):g}",
         "Memory": _memory(),
         "System": platform.platform(),
         "Variant": str(mi.variant()),
-        "Versions": ", ".join(
-            f"{name} {version}"
-            for name, version in (
-                ("ndf-mi", ndf_mi.__version__),
-                ("Mitsuba", mi.__version__),
-                ("Dr.Jit", dr.__version__),
-                ("LLVM", _llvm()),
-                ("Python", platform.python_version()),
-            )
-        ),
+        "Versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
     }
 
 
-def _cores() -> str:
-    """The cores that this process may use: those it may run on, or as many as its control groups grant it time for, where that is less."""
+def usable_cores(quotas: Sequence[float]) -> float:
+    """Cores that this process may use: those it may run on, or the least of the `quotas` of its control
+    groups, if that is less."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return f"{min([float(cores), *_quotas()]):g}"
+    return min([float(cores), *quotas])
 
 
-def _quotas(root: str = "/sys/fs/cgroup", own: str = "/proc/self/cgroup") -> list[float]:
-    """Cores' worth of time that the control groups of this process, of either version and each up to its root, grant it."""
+def cpu_quotas(
+    root: str | os.PathLike[str] = "/sys/fs/cgroup", own: str | os.PathLike[str] = "/proc/self/cgroup"
+) -> list[float]:
+    """CPU time, in cores, that the control groups of this process and their parents allow; one entry for each
+    group with a limit.
+
+    Args:
+        root: where control groups are mounted, version 1 or 2.
+        own: the list of the process's groups.
+    """
     found = []
     for line in _lines(own):
         _, _, rest = line.partition(":")
         controllers, _, path = rest.partition(":")
-        # Version 2 has one tree of groups and one file; version 1 has a tree for each controller, and two files.
-        top = Path(root, controllers) if controllers else Path(root)
+        # Version 2 has a single tree, and both numbers in one file. Version 1 has a tree for each controller,
+        # and two files.
         if controllers and "cpu" not in controllers.split(","):
             continue
-        folder = top / path.strip("/")
+        tree = Path(root, controllers)
+        names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if controllers else ("cpu.max",)
+        folder = tree / path.strip("/")
         for group in (folder, *folder.parents):
-            text = " ".join(_lines(str(group / "cpu.max")) if not controllers else
-                            _lines(str(group / "cpu.cfs_quota_us")) + _lines(str(group / "cpu.cfs_period_us")))
+            text = " ".join(line for name in names for line in _lines(group / name))
             quota, _, period = text.partition(" ")
             if quota.isdecimal() and period.isdecimal() and int(period) > 0:
                 found.append(int(quota) / int(period))
-            if group == top:
+            if group == tree:
                 break
     return found
 
@@ -75,11 +85,6 @@ def _memory() -> str:
     return "unknown"
 
 
-def _llvm() -> str:
-    version = dr.detail.llvm_version()
-    return ".".join(map(str, version)) if version else "none"
-
-
-def _lines(path: str) -> list[str]:
+def _lines(path: str | os.PathLike[str]) -> list[str]:
     file = Path(path)
     return file.read_text(encoding="utf-8", errors="replace").splitlines() if file.is_file() else []

@@ -1,39 +1,42 @@
-"""How many cores a process may use, where control groups say so."""
+"""How many cores a process may use according to its control groups."""
+
+from __future__ import annotations
 
 from pathlib import Path
-
-import pytest
 
 from ndf_mi import machine
 
 
-def groups(root: Path, own: str, files: dict[str, str]) -> list[float]:
-    """What is granted by those files under a root, to a process with such a list of groups."""
+def quotas(root: Path, own: str, files: dict[str, str]) -> list[float]:
+    """The quotas that these files under `root` give a process with that list of groups."""
     for name, text in files.items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text)
     (root / "own").write_text(own)
-    return machine._quotas(str(root), str(root / "own"))
+    return machine.cpu_quotas(root, root / "own")
 
 
 def test_every_group_up_to_the_root_may_limit(tmp_path: Path) -> None:
-    found = groups(tmp_path, "0::/pod/box\n", {"pod/box/cpu.max": "max 100000\n", "pod/cpu.max": "150000 100000\n", "cpu.max": "50 100\n"})
-    assert found == [1.5, 0.5]
+    files = {"pod/box/cpu.max": "max 100000\n", "pod/cpu.max": "150000 100000\n", "cpu.max": "50 100\n"}
+    assert quotas(tmp_path, "0::/pod/box\n", files) == [1.5, 0.5]
 
 
 def test_groups_of_version_1(tmp_path: Path) -> None:
-    found = groups(tmp_path, "3:cpuset:/\n2:cpu,cpuacct:/box\n0::/\n",
-                   {"cpu,cpuacct/box/cpu.cfs_quota_us": "250000\n", "cpu,cpuacct/box/cpu.cfs_period_us": "100000\n",
-                    "cpu,cpuacct/cpu.cfs_quota_us": "-1\n", "cpu,cpuacct/cpu.cfs_period_us": "100000\n"})
-    assert found == [2.5]
+    files = {"cpu,cpuacct/box/cpu.cfs_quota_us": "250000\n", "cpu,cpuacct/box/cpu.cfs_period_us": "100000\n",
+             "cpu,cpuacct/cpu.cfs_quota_us": "-1\n", "cpu,cpuacct/cpu.cfs_period_us": "100000\n"}
+    assert quotas(tmp_path, "3:cpuset:/\n2:cpu,cpuacct:/box\n0::/\n", files) == [2.5]
 
 
 def test_no_groups_no_limit(tmp_path: Path) -> None:
-    assert groups(tmp_path, "0::/gone\n", {}) == [] == machine._quotas(str(tmp_path), str(tmp_path / "none"))
+    assert quotas(tmp_path, "0::/gone\n", {}) == [] == machine.cpu_quotas(tmp_path, tmp_path / "none")
 
 
-def test_no_more_cores_than_granted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "_quotas", lambda: [0.5])
-    assert machine.describe()["Cores"] == "0.5"
-    monkeypatch.setattr(machine, "_quotas", lambda: [])
-    assert float(machine.describe()["Cores"]) >= 1
+def test_no_more_cores_than_granted() -> None:
+    assert machine.usable_cores([2.0, 0.5]) == 0.5
+    assert machine.usable_cores([]) >= 1
+
+
+def test_description_names_hardware_variant_and_versions() -> None:
+    described = machine.describe()
+    assert float(described["Cores"]) > 0 and described["Variant"]
+    assert all(name in described["Versions"] for name in ("ndf-mi", "Mitsuba", "Dr.Jit", "LLVM", "Python"))

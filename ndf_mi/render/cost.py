@@ -1,10 +1,13 @@
-"""What a picture will take and how far it will be from convergence, as functions of its view, samples and early termination.
+"""Predicts the time and the error of an image from its view, samples per ray and early termination.
 
     t = c₀ + spp · (c₁·tiles + c₂·lanes + c₃·evaluated + c₄·launched)
 
-The counts are those of :class:`ndf_mi.render.image.Work`, which no machine enters; :mod:`ndf_mi.render.ray_statistics` finds them without
-drawing the picture. The c are what a machine takes for each, never below zero. The error is interpolated over the logarithm of the samples;
-of fewer than were measured it goes on along the line, of more it is at most that of the most that were measured.
+The counts are those of :class:`ndf_mi.render.image.Work`, which do not depend on the machine;
+:mod:`ndf_mi.render.ray_statistics` estimates them without rendering the image. The coefficients c ≥ 0 are
+fitted to measurements of one machine.
+
+The error is interpolated linearly in log error over log samples. Below the fewest samples measured the line
+is extended; above the most, their error is an upper bound.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from ndf_mi.render.ray_statistics import Sight
+from ndf_mi.render.ray_statistics import RayStatistics
 from ndf_mi.render.settings import Setting
 
 _MILLION = 1e6
@@ -24,13 +27,13 @@ _MILLION = 1e6
 
 @dataclass(frozen=True)
 class Sample:
-    """One setting as it was measured on one size of picture, one ray a pixel: means over the views.
+    """A measurement of one setting at one image size with one ray per pixel: means over the views.
 
     Attributes:
         samples, cutoff: of the setting.
         tiles, lanes, evaluated, launched: counts, as in :class:`ndf_mi.render.image.Work`.
-        seconds: a picture.
-        error: mean squared error in sRGB against convergence; None where it was not measured.
+        seconds: per image.
+        error: mean squared error in sRGB against the converged image; None where it was not measured.
     """
 
     samples: int
@@ -44,34 +47,45 @@ class Sample:
 
 
 class CostModel:
-    """Fitted to samples, of which some have errors: at least one for each cutoff that may be asked for."""
+    """Time and error as functions of the setting.
+
+    Args:
+        samples: measurements. Errors can be predicted for the cutoffs at which at least one was measured.
+
+    Attributes:
+        cutoffs: those.
+        coefficients: (5,) c.
+        residuals: relative errors of the times, one for each of `samples`.
+    """
 
     def __init__(self, samples: Sequence[Sample]) -> None:
         self.cutoffs = sorted({s.cutoff for s in samples if s.error is not None})
         rows = np.array([_row(s.tiles, s.lanes, s.evaluated, s.launched) for s in samples])
         seconds = np.array([s.seconds for s in samples])
-        # Each row over its time: what is to be small is the error relative to it.
+        # Rows are divided by their times, so that relative errors are minimised.
         self.coefficients, _ = nnls(rows / seconds[:, None], np.ones(len(samples)))
         self.residuals = rows @ self.coefficients / seconds - 1
-        self._errors = {c: _errors([s for s in samples if s.cutoff == c]) for c in self.cutoffs}
+        self._errors = {c: _log_errors([s for s in samples if s.cutoff == c]) for c in self.cutoffs}
 
-    def seconds(self, setting: Setting, sight: Sight) -> float:
-        """What a picture of this view is believed to take."""
-        counts = sight.counts(setting)
-        each = _row(counts.tiles, counts.lanes, counts.evaluated, counts.launched)
-        return float(self.coefficients[0] + setting.spp * self.coefficients[1:] @ each[1:])
+    def seconds(self, setting: Setting, statistics: RayStatistics) -> float:
+        """Predicted time of an image of a view."""
+        counts = statistics.counts(setting)
+        row = _row(counts.tiles, counts.lanes, counts.evaluated, counts.launched)
+        return float(self.coefficients[0] + setting.spp * self.coefficients[1:] @ row[1:])
 
     def error(self, setting: Setting) -> float:
-        """The mean squared error in sRGB against convergence that is believed in; where :meth:`beyond`, a bound from above."""
-        log, errors = self._errors[setting.cutoff]
+        """Predicted mean squared error in sRGB against the converged image; an upper bound where
+        :meth:`beyond`."""
+        log_samples, log_errors = self._errors[setting.cutoff]
         x = math.log(setting.samples)
-        if len(log) > 1 and x < log[0]:
-            return float(math.exp(errors[0] + (errors[1] - errors[0]) / (log[1] - log[0]) * (x - log[0])))
-        return float(math.exp(np.interp(x, log, errors)))
+        if len(log_samples) > 1 and x < log_samples[0]:
+            slope = (log_errors[1] - log_errors[0]) / (log_samples[1] - log_samples[0])
+            return float(math.exp(log_errors[0] + slope * (x - log_samples[0])))
+        return float(math.exp(np.interp(x, log_samples, log_errors)))
 
     def beyond(self, setting: Setting) -> bool:
-        """Whether it has more samples than any whose error was measured. Not followed further by a line: what pictures are held against has
-        errors of its own."""
+        """Whether the setting has more samples than any whose error was measured. The line is not extended
+        there, because the converged image that errors are measured against has errors of its own."""
         return bool(math.log(setting.samples) > self._errors[setting.cutoff][0][-1] + 1e-9)
 
 
@@ -79,9 +93,11 @@ def _row(tiles: float, lanes: float, evaluated: float, launched: float) -> np.nd
     return np.array([1.0, tiles, lanes / _MILLION, evaluated / _MILLION, launched / _MILLION])
 
 
-def _errors(samples: Sequence[Sample]) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms of sample counts and of the mean errors there; more samples never count as worse."""
+def _log_errors(samples: Sequence[Sample]) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithms of the sample counts and of the mean errors there; errors never rise with the samples."""
     counts = sorted({s.samples for s in samples if s.error is not None})
-    known = [float(np.mean([s.error for s in samples if s.samples == n and s.error is not None])) for n in counts]
-    # Without an error at all the logarithm would be infinite: a millionth of an 8-bit step squared is none.
-    return np.log(counts), np.log(np.minimum.accumulate(np.maximum(known, 1e-12)))
+    errors = [
+        float(np.mean([s.error for s in samples if s.samples == n and s.error is not None])) for n in counts
+    ]
+    # The logarithm needs an error above zero; 1e-12 is far below an 8-bit step squared.
+    return np.log(counts), np.log(np.minimum.accumulate(np.maximum(errors, 1e-12)))

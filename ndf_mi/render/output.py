@@ -11,6 +11,7 @@ from PIL import Image
 
 from ndf_mi import files
 from ndf_mi.errors import InputError
+from ndf_mi.render.image import Image as FieldImage
 
 SUFFIXES = (".exr", ".png")
 
@@ -33,3 +34,20 @@ def write_png(path: str | os.PathLike[str], image: np.ndarray) -> None:
     """Writes (h, w, 3) sRGB in [0, 1] with 8 bits a channel, rounded; completely or not at all."""
     with files.replacing(path) as beside:
         Image.fromarray(np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)).save(beside, format="PNG")
+
+
+def write_field_image(path: str | os.PathLike[str], image: FieldImage, background: np.ndarray) -> None:
+    """Writes an image of a field.
+
+    With (u, v, l) and normals it becomes an EXR of all channels; without, a PNG over an sRGB background (3,).
+    """
+    if image.u is None or image.normal is None:
+        write_png(path, image.over(background))
+        return
+    channels = dict(zip("RGB", np.moveaxis(image.linear, -1, 0), strict=True)) | {
+        "A": image.opacity,
+        "depth.T": image.depth,
+    }
+    channels |= {f"uvl.{n}": image.u[..., i] for i, n in enumerate("UVL")}
+    channels |= {f"normal.{n}": image.normal[..., i] for i, n in enumerate("XYZ")}
+    write_exr(path, channels)

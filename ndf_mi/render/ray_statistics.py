@@ -1,4 +1,5 @@
-"""What a picture of a view will ask of the machine, counted on few of its rays: for any number of samples and any early termination."""
+"""Estimates what rendering a view takes from a few of its rays, for any number of samples and any early
+termination."""
 
 from __future__ import annotations
 
@@ -15,18 +16,19 @@ from ndf_mi.render.ray_samples import VolumeField, sample_rays
 from ndf_mi.render.sampling import QUANTUM, box_interval, rounded
 from ndf_mi.render.settings import Setting
 
-#: Parts that rays are looked at in: a picture's rounds.
+#: Parts of a ray that statistics are kept for: the rounds of an image.
 ROUNDS = 4
-#: A view is looked at with so many samples a ray, times the field's own factor, on so small a share of its width and height.
+#: The probe takes this many samples per ray, times the field's own factor, at 1/SHRINK of the view's width
+#: and height.
 SAMPLES, SHRINK = 64, 4
-#: How far the number of samples evaluated at once may be off what is believed: arrays of a steady size hold them, so that a few more can
-#: take half as many lanes again.
-_OFF = (0.97, 1.0, 1.03)
+#: Relative errors of the number of samples evaluated at once. Arrays grow by half at a time, so a few more
+#: samples can take half as many lanes again: the expected number of lanes is a mean over these.
+_RELATIVE_ERRORS = (0.97, 1.0, 1.03)
 
 
 @dataclass(frozen=True)
 class Counts:
-    """What one ray a pixel takes, as :class:`ndf_mi.render.image.Work` counts it."""
+    """The work of an image with one ray per pixel, as :class:`ndf_mi.render.image.Work` counts it."""
 
     tiles: int
     lanes: int
@@ -35,69 +37,86 @@ class Counts:
 
 
 @dataclass(frozen=True)
-class Sight:
-    """A view of a field, and what some of its rays meet in each part of their length.
+class RayStatistics:
+    """What the rays of a view meet, estimated from N of them in the order of their pixels.
 
     Attributes:
-        rays: of all pixels, that meet the field's box.
-        strata: the field's factor on candidate samples.
-        evaluated: (`ROUNDS`, N) of N rays, by their pixels' order, in each part of their way through the box, the share of the candidates
-            that reach the networks.
+        rays: pixels whose ray meets the field's box.
+        sample_factor: the field's factor on candidate samples.
+        evaluated: (`ROUNDS`, N) fraction of the candidates that reach the networks, in each part of the ray's
+            way through the box.
         before: (`ROUNDS`, N) transmittance in front of each part.
     """
 
     rays: int
-    strata: int
+    sample_factor: int
     evaluated: np.ndarray
     before: np.ndarray
 
     def counts(self, setting: Setting) -> Counts:
-        """Of a picture, rays a pixel apart. What is opaque is left out of the rounds behind, as a picture leaves it out.
+        """The counts of an image with one ray per pixel. As in rendering, opaque rays drop out of later
+        rounds.
 
         Raises:
-            ValueError: its rays are not looked at in `ROUNDS` rounds.
+            ValueError: the setting does not render rays in `ROUNDS` rounds.
         """
-        rounds, count, tile = setting.renderer().tiling(self.strata, self.rays)
+        rounds, count, tile = setting.renderer().tiling(self.sample_factor, self.rays)
         if rounds != ROUNDS:
-            raise ValueError(f"{setting.samples} samples are looked at in {rounds} rounds, not in {ROUNDS}")
+            raise ValueError(f"{setting.samples} samples are rendered in {rounds} rounds, not in {ROUNDS}")
+        candidates = count * self.sample_factor
         tiles, evaluated, launched = 0, 0.0, 0.0
-        for number in range(ROUNDS):
-            alive = self.before[number] > setting.cutoff if number and setting.cutoff > 0 else np.ones(len(self.before[number]), dtype=bool)
+        for evaluated_fraction, before in zip(self.evaluated, self.before, strict=True):
+            # `before` is 1 in the first round, so no ray drops out there.
+            alive = before > setting.cutoff if setting.cutoff > 0 else np.ones(len(before), dtype=bool)
             rays = round(self.rays * alive.mean()) if len(alive) else 0
             if rays == 0:
                 break
-            # Tiles are runs of the rays left: what is in each of them follows from the sum up to its ends.
+            # A tile is a run of consecutive live rays: differences of the cumulative sum give the samples of
+            # each.
             ends = np.minimum(np.arange(math.ceil(rays / tile) + 1) * tile / rays, 1.0)
-            summed = np.concatenate([[0.0], np.cumsum(self.evaluated[number][alive])]) / alive.sum() * rays * count * self.strata
-            each = np.diff(np.interp(ends, np.linspace(0, 1, len(summed)), summed))
-            tiles += len(each)
-            evaluated += float(each.sum())
-            launched += float(np.mean([sum(rounded(math.ceil(off * one), QUANTUM) for one in each) for off in _OFF]))
-        return Counts(tiles, tiles * tile * count * self.strata, evaluated, launched)
+            cumulative = (
+                np.concatenate([[0.0], np.cumsum(evaluated_fraction[alive])])
+                / alive.sum()
+                * rays
+                * candidates
+            )
+            per_tile = np.diff(np.interp(ends, np.linspace(0, 1, len(cumulative)), cumulative))
+            tiles += len(per_tile)
+            evaluated += float(per_tile.sum())
+            launched += float(
+                np.mean(
+                    [
+                        sum(rounded(math.ceil(factor * samples), QUANTUM) for samples in per_tile)
+                        for factor in _RELATIVE_ERRORS
+                    ]
+                )
+            )
+        return Counts(tiles, tiles * tile * candidates, evaluated, launched)
 
 
-def look(volume: VolumeField, camera: Camera) -> Sight:
-    """Looks at a view: densities along one ray of each of `SHRINK` times `SHRINK` pixels."""
+def probe(volume: VolumeField, camera: Camera) -> RayStatistics:
+    """Statistics of a view, from densities along one ray for every `SHRINK` × `SHRINK` pixels."""
     rays = Setting().renderer().met(volume, camera)
     small = camera.scaled(max(camera.w // SHRINK, 1), max(camera.h // SHRINK, 1))
     count = SAMPLES // ROUNDS
     y, x = np.divmod(np.arange(small.w * small.h), small.w)
     with dr.suspend_grad():
-        met = np.flatnonzero(box_interval(volume.bbox, small.rays(mi.Point2f(mi.Float(x), mi.Float(y)) + 0.5))[0].numpy())
+        every = small.rays(mi.Point2f(mi.Float(x), mi.Float(y)) + 0.5)
+        met = np.flatnonzero(box_interval(volume.bbox, every)[0].numpy())
         if rays == 0 or not len(met):
-            return Sight(rays, volume.sample_factor, np.zeros((ROUNDS, 0)), np.ones((ROUNDS, 0)))
-        # The padding's rays end where they start.
+            return RayStatistics(rays, volume.sample_factor, np.zeros((ROUNDS, 0)), np.ones((ROUNDS, 0)))
         chosen = np.full(rounded(len(met), QUANTUM), met[0])
         chosen[: len(met)] = met
         ray = small.rays(mi.Point2f(mi.Float(x[chosen]), mi.Float(y[chosen])) + 0.5)
+        # Padding rays have no length.
         ray.maxt = mi.Float(np.where(np.arange(len(chosen)) < len(met), np.inf, 0.0))
-        shares, before, transmittance = [], [], np.ones(len(met))
+        evaluated, before, transmittance = [], [], np.ones(len(met))
         for number in range(ROUNDS):
-            strata = sample_rays(volume, ray, SAMPLES, window=(number * count, count))
-            inside = block_sum(strata.spread(dr.full(mi.Float, 1.0, dr.width(strata.real))), strata.count)
-            tau = block_sum(strata.optical_depth(), strata.count)
+            samples = sample_rays(volume, ray, SAMPLES, window=(number * count, count))
+            inside = block_sum(samples.spread(dr.full(mi.Float, 1.0, dr.width(samples.real))), samples.count)
+            tau = block_sum(samples.optical_depth(), samples.count)
             dr.eval(inside, tau)
-            shares.append(inside.numpy()[: len(met)] / strata.count)
+            evaluated.append(inside.numpy()[: len(met)] / samples.count)
             before.append(transmittance)
             transmittance = transmittance * np.exp(-tau.numpy()[: len(met)].astype(np.float64))
-    return Sight(rays, volume.sample_factor, np.stack(shares), np.stack(before))
+    return RayStatistics(rays, volume.sample_factor, np.stack(evaluated), np.stack(before))

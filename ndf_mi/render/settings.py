@@ -1,4 +1,4 @@
-"""One way to draw a run by quadrature, and drawing it: all that may be turned without training anew."""
+"""The settings of a rendering by quadrature: everything that can be changed without training again."""
 
 from __future__ import annotations
 
@@ -19,15 +19,20 @@ from ndf_mi.run import Run
 
 @dataclass(frozen=True)
 class Setting:
-    """How a picture is made.
+    """How an image of a run is rendered.
 
     Attributes:
-        samples: candidate samples a ray.
-        cutoff: early termination: transmittance up to which a ray is followed, in [0, 1); 0 follows it to its end.
-        spp: rays a pixel.
-        stratified: a random shift of each ray's samples in place of strata's middles.
+        samples: candidate samples per ray.
+        cutoff: early termination: a ray is followed until its transmittance falls to this, in [0, 1); 0
+            follows it to its end.
+        spp: rays per pixel.
+        stratified: shift each ray's samples at random instead of taking the middle of each interval.
         networks: one of `ndf_mi.model.NETWORKS`.
-        size: share of the camera's width and height that is rendered, in (0, 1]; the picture is then enlarged, bilinearly in sRGB.
+        size: fraction of the camera's width and height to render at, in (0, 1]; the image is then enlarged
+            bilinearly in sRGB.
+
+    Raises:
+        InputError: a value is out of range, or this machine does not have the networks.
     """
 
     samples: int = 128
@@ -42,27 +47,33 @@ class Setting:
         if self.networks not in networks_here():
             raise InputError("networks", repr(self.networks), "one of " + ", ".join(networks_here()))
         if not 0 < self.size <= 1:
-            raise InputError("size", f"{self.size:g}", "a share in (0, 1]")
+            raise InputError("size", f"{self.size:g}", "a fraction in (0, 1]")
 
     def renderer(self) -> ImageRenderer:
-        """What renders so."""
+        """The renderer with these settings."""
         return ImageRenderer(self.samples, spp=self.spp, cutoff=self.cutoff, stratified=self.stratified)
 
     def image(self, run: Run, frame: int, camera: Camera, geometry: bool = False) -> Image:
-        """The image on the pixels that are rendered, from the body's vertices on: posing it is part of what a frame takes."""
+        """The image at the resolution that is rendered. It poses the body again, because each frame of a
+        video has to."""
         row = run.poses.index(frame)
         posed = run.posed_as(run.poses.vertices[row], run.poses.pose[row], self.networks)
         return self.renderer()(posed, self.camera(camera), geometry)
 
     def camera(self, camera: Camera) -> Camera:
-        """The camera with the pixels that are rendered."""
-        return camera if self.size == 1 else camera.scaled(*(max(round(self.size * side), 1) for side in (camera.w, camera.h)))
+        """The camera at the resolution that is rendered."""
+        if self.size == 1:
+            return camera
+        return camera.scaled(*(max(round(self.size * side), 1) for side in (camera.w, camera.h)))
 
     def picture(self, run: Run, frame: int, camera: Camera) -> np.ndarray:
-        """(h, w, 3) float32 sRGB in [0, 1] over the run's background, on all of the camera's pixels. Nothing is left unevaluated."""
+        """(h, w, 3) float32 sRGB in [0, 1] over the run's background, at the camera's full resolution; fully
+        evaluated."""
         picture = self.image(run, frame, camera).over(run.background)
         if picture.shape[:2] != (camera.h, camera.w):
-            picture = resize(picture, (camera.h, camera.w), order=1, mode="edge", anti_aliasing=False).astype(np.float32)
+            picture = resize(picture, (camera.h, camera.w), order=1, mode="edge", anti_aliasing=False).astype(
+                np.float32
+            )
         dr.sync_thread()
         return picture
 
@@ -71,21 +82,22 @@ class Setting:
         return asdict(self)
 
 
-#: Samples a ray of a field drawn to convergence: eight times the usual.
+#: Samples per ray of a converged image: eight times the default.
 CONVERGED_SAMPLES = 1024
 
 
 def converged(spp: int = 1) -> Setting:
-    """What a setting with so many rays a pixel tends to: many samples, and each ray to its end.
+    """The limit of settings with `spp` rays per pixel: many samples, and every ray followed to its end.
 
-    Where in their pixels rays go is part of what is asked for: fields are trained through the centres, and what more rays a pixel are
-    worth is told by the truth, not by the field.
+    The rays per pixel are not part of the limit. Fields are trained through pixel centres, so whether more
+    rays improve an image can only be judged against photographs, not against the field itself.
     """
     return Setting(CONVERGED_SAMPLES, cutoff=0.0, spp=spp)
 
 
 def field_digest(run: Run) -> str:
-    """SHA-256 (hex) over a field's architecture and parameters and how images are made: equal ones give equal images at equal settings."""
+    """SHA-256 (hex) of a field's architecture and parameters and of the rendering recipe: runs with the same
+    digest render the same images at the same settings."""
     state = hashlib.sha256(f"{RECIPE} {sorted(run.model.field.preset.to_dict().items())}".encode())
     for name, values in sorted(run.field_tensors().items()):
         state.update(name.encode() + values.tobytes())

@@ -1,25 +1,26 @@
-"""The model of time and error against a machine and an error that are known."""
+"""The cost model against a machine with known costs and a known error."""
 
 import numpy as np
 import pytest
 
 from ndf_mi.render.cost import CostModel, Sample
-from ndf_mi.render.ray_statistics import ROUNDS, Sight
+from ndf_mi.render.ray_statistics import ROUNDS, RayStatistics
 from ndf_mi.render.settings import Setting
 
 FIXED, TILE, LANE, EVALUATED, LAUNCHED = 0.07, 0.004, 20e-9, 500e-9, 400e-9
 
 
-def sight(rays, evaluated=0.1, strata=1):
-    """A view of which a share is evaluated all along its rays, and two of three rays end in the first part."""
+def statistics(rays, evaluated=0.1, factor=1):
+    """A view in which a fraction of all candidates is evaluated, and two of three rays end in the first
+    part."""
     before = np.ones((ROUNDS, 30))
     before[1:, np.arange(30) % 3 > 0] = 0
-    return Sight(rays, strata, np.full((ROUNDS, 30), evaluated), before)
+    return RayStatistics(rays, factor, np.full((ROUNDS, 30), evaluated), before)
 
 
 def sample(samples, cutoff, rays, with_error=True):
-    """Such a view on a machine with those costs."""
-    c = sight(rays).counts(Setting(samples, cutoff))
+    """A measurement of such a view on a machine with those costs."""
+    c = statistics(rays).counts(Setting(samples, cutoff))
     seconds = FIXED + TILE * c.tiles + LANE * c.lanes + EVALUATED * c.evaluated + LAUNCHED * c.launched
     error = 3.0 * samples**-2.0 * (1 if cutoff < 1e-3 else 4) if with_error else None
     return Sample(samples, cutoff, c.tiles, c.lanes, c.evaluated, c.launched, seconds, error)
@@ -33,17 +34,21 @@ def model():
 
 @pytest.mark.parametrize(("samples", "rays"), [(4, 9000), (48, 5000), (200, 40000), (512, 150000)])
 def test_times_between_and_beyond_what_was_measured(model, samples, rays):
-    assert model.seconds(Setting(samples, 1e-4), sight(rays)) == pytest.approx(sample(samples, 1e-4, rays).seconds, rel=1e-3)
+    assert model.seconds(Setting(samples, 1e-4), statistics(rays)) == pytest.approx(
+        sample(samples, 1e-4, rays).seconds, rel=1e-3
+    )
     assert max(abs(model.residuals)) < 1e-6
 
 
 def test_more_rays_a_pixel_repeat_all_but_what_is_fixed(model):
-    once, thrice = (model.seconds(Setting(64, 1e-4, spp=n), sight(20000)) for n in (1, 3))
+    once, thrice = (model.seconds(Setting(64, 1e-4, spp=n), statistics(20000)) for n in (1, 3))
     assert thrice - FIXED == pytest.approx(3 * (once - FIXED), rel=1e-6)
 
 
 def test_a_view_with_more_of_the_performer_takes_longer(model):
-    usual, full = (model.seconds(Setting(256, 1e-4), sight(40000, evaluated)) for evaluated in (0.1, 0.2))
+    usual, full = (
+        model.seconds(Setting(256, 1e-4), statistics(40000, evaluated)) for evaluated in (0.1, 0.2)
+    )
     more = 0.1 * 256 / 4 * (40000 + 3 * 40000 / 3)
     assert (EVALUATED + LAUNCHED) * more < full - usual < (EVALUATED + 1.5 * LAUNCHED) * more
 
@@ -61,6 +66,9 @@ def test_errors_of_more_samples_than_were_measured_are_bounded_by_those_of_the_m
 
 
 def test_more_samples_never_count_as_worse():
-    noisy = [Sample(n, 0.01, 4, 100 * n, 10 * n, 10 * n, 0.1, error) for n, error in ((8, 1e-2), (16, 1e-3), (32, 2e-3))]
+    noisy = [
+        Sample(n, 0.01, 4, 100 * n, 10 * n, 10 * n, 0.1, error)
+        for n, error in ((8, 1e-2), (16, 1e-3), (32, 2e-3))
+    ]
     model = CostModel(noisy)
     assert model.error(Setting(32, 0.01)) == pytest.approx(1e-3) == model.error(Setting(512, 0.01))

@@ -1,48 +1,45 @@
-"""Choosing a setting by time or error: what is asked for, what is refused, and a profile that is kept and made anew when stale."""
+"""Choosing a setting by time or error: what is chosen, what is refused, and the command on top."""
 
-import dataclasses
 import itertools
 import json
 import math
 
 import numpy as np
 import pytest
+from known_profile import known_profile, statistics
 
+from ndf_mi.capture.viewpoint import framing
 from ndf_mi.commands import main
 from ndf_mi.errors import InputError
 from ndf_mi.render import profile
-from ndf_mi.render import tuner as choice
-from ndf_mi.render.cost import CostModel, Sample
-from ndf_mi.render.profile import CUTOFFS, Key, Profile
-from ndf_mi.render.ray_statistics import ROUNDS, Sight
+from ndf_mi.render.measure import CUTOFFS
 from ndf_mi.render.settings import Setting
-from ndf_mi.render.tuner import Choice, ended, parse_decibel, parse_seconds, within_budget, within_error
+from ndf_mi.render.tuner import (
+    SAMPLES,
+    TOLERANCE,
+    Choice,
+    candidates,
+    parse_decibel,
+    parse_seconds,
+    render_choice,
+    training_error,
+    within_budget,
+    within_error,
+)
+
+OWN = 1e-3
+"""Mean squared error of the field itself."""
 
 
-def sight(rays):
-    """A view of whose samples a tenth is evaluated, and none of whose rays ends."""
-    return Sight(rays, 1, np.full((ROUNDS, 16), 0.1), np.ones((ROUNDS, 16)))
-
-
-def known_profile(fixed=0.05, each=1e-6, error=1.0):
-    """A machine that takes `each` seconds a sample evaluated, and an error that falls with the square."""
-    samples = []
-    for rays in (9000, 40000):
-        for cutoff, factor in zip(CUTOFFS, (1.0, 1.5), strict=True):
-            for n in (8, 40, 128):
-                c = sight(rays).counts(Setting(n, cutoff))
-                seconds = fixed + each * c.evaluated
-                samples.append(Sample(n, cutoff, c.tiles, c.lanes, c.evaluated, c.launched, seconds, factor * error / n**2))
-    return Profile(samples, 0.4)
-
-
-@pytest.mark.parametrize(("text", "seconds"), [("0.5s", 0.5), ("300ms", 0.3), ("2 min", 120.0), (".25s", 0.25)])
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("0.5s", 0.5), ("300ms", 0.3), ("2 min", 120.0), (".25s", 0.25)]
+)
 def test_times(text, seconds):
     assert parse_seconds(text) == pytest.approx(seconds)
 
 
 @pytest.mark.parametrize("text", ["0.5", "0s", "-1s", "fast", "1h", "1e999s", "nans", ""])
-def test_what_is_no_time(text):
+def test_invalid_times(text):
     with pytest.raises(InputError, match="--budget"):
         parse_seconds(text)
 
@@ -54,67 +51,79 @@ def test_losses():
             parse_decibel(text)
 
 
-def choices(own=1e-3):
-    model = known_profile().model()
-    view = sight(1000)
-    return [Choice(s, model.seconds(s, view), *choice._believed(model.error(s), own), model.beyond(s)) for s in choice.offered(model)]
+def choices(own=OWN, slowdown=1.0):
+    return candidates(known_profile().model(), statistics(1000), own, slowdown)
 
 
 @pytest.mark.parametrize("budget", [0.0508, 0.06, 0.09, 0.3])
-def test_a_time_is_filled_and_not_exceeded(budget):
+def test_a_budget_is_used_and_not_exceeded(budget):
     best = within_budget(choices(), budget)
     assert 0.8 * budget < best.seconds <= budget
     assert not [c for c in choices() if c.seconds <= budget and c.psnr > best.psnr]
 
 
-def test_more_time_never_buys_a_worse_picture():
-    """Nor more rays a pixel, which fields trained through pixels' centres are worse by; and more samples than the most are no use."""
+def test_more_time_never_gives_a_worse_image():
     best = [within_budget(choices(), budget) for budget in (0.06, 0.1, 0.2, 0.4, 7.0, 100.0)]
     assert all(a.psnr <= b.psnr and a.loss >= b.loss for a, b in itertools.pairwise(best))
-    assert all(c.setting.spp == 1 for c in best) and best[-1].setting.samples == choice.SAMPLES[-1]
+    assert all(c.setting.spp == 1 for c in best) and best[-1].setting.samples == SAMPLES[-1]
 
 
-def test_what_was_not_measured_is_told_as_a_bound(capsys):
+def test_a_slower_machine_gets_fewer_samples():
+    usual, slow = (within_budget(choices(slowdown=factor), 0.2) for factor in (1.0, 3.0))
+    assert slow.setting.samples < usual.setting.samples and slow.seconds <= 0.2
+
+
+def test_errors_that_were_not_measured_are_printed_as_bounds():
     measured, more = (within_budget(choices(), budget) for budget in (0.06, 100.0))
-    assert "at least" not in measured.told() and "at most" not in measured.told()
-    assert f"at least {more.psnr:.1f} dB" in more.told() and f"at most {more.loss:.2g} dB" in more.told()
+    assert "at least" not in measured.describe() and "at most" not in measured.describe()
+    assert (
+        f"at least {more.psnr:.1f} dB" in more.describe() and f"at most {more.loss:.2g} dB" in more.describe()
+    )
 
 
-def test_too_short_a_time_says_what_the_least_is():
+def test_a_budget_too_small_is_refused_with_the_least_that_suffices():
     least = min(c.seconds for c in choices())
     with pytest.raises(InputError, match="at least") as caught:
         within_budget(choices(), 0.01)
-    said = float(caught.value.expected.split()[2])
-    assert least <= said <= 1.1 * least
-    assert within_budget(choices(), said).seconds <= said
+    sufficient = float(caught.value.expected.split()[2])
+    assert least <= sufficient <= 1.1 * least
+    assert within_budget(choices(), sufficient).seconds <= sufficient
 
 
-def test_an_error_takes_the_quickest_that_keeps_it():
+def test_an_error_takes_the_quickest_setting_within_it():
     quickest = within_error(choices(), 0.5)
     assert quickest.loss <= 0.5
     assert all(c.loss > 0.5 for c in choices() if c.seconds < quickest.seconds)
-    # 10 log10(1 + (1/n²)/1e-3) = 0.5 dB at n = 90.5: the next number offered.
+    # 10 log10(1 + (1/n²)/1e-3) = 0.5 dB at n = 90.5: the next number on offer.
     assert quickest.setting == Setting(96, CUTOFFS[0])
     with pytest.raises(InputError, match="at least"):
         within_error(choices(own=1e-9), 0.5)
 
 
-def test_errors_add_up_as_independent_ones():
-    psnr, loss = choice._believed(1e-4, 1e-3)
-    assert psnr == pytest.approx(40.0) and loss == pytest.approx(10 * math.log10(1.1))
-    assert choice._believed(1e-4, None)[1] is None
+def test_errors_add_as_independent_ones():
+    choice, unknown = (
+        next(c for c in choices(own) if c.setting == Setting(96, CUTOFFS[0])) for own in (OWN, None)
+    )
+    error = 10 ** (-choice.psnr / 10)
+    assert error == pytest.approx(1 / 96**2, rel=1e-3) and choice.loss == pytest.approx(
+        10 * math.log10(1 + error / OWN)
+    )
+    assert unknown.loss is None and unknown.psnr == choice.psnr
 
 
-def test_the_own_error_is_that_of_the_boxs_rays_which_training_ended_with(trained_run, make_run):
+def test_training_error_is_that_of_the_last_rays_from_the_box(trained_run, make_run):
     last = json.loads((trained_run.path / "metrics.jsonl").read_text().splitlines()[-1])
     for opacity in (0.1, 0.9):
-        assert -10 * math.log10(ended(trained_run).own(opacity)) == pytest.approx(last["box_psnr"])
-    assert ended(make_run()) is None
+        assert -10 * math.log10(training_error(trained_run).in_box(opacity)) == pytest.approx(
+            last["box_psnr"]
+        )
+    assert training_error(make_run()) is None
 
 
 @pytest.mark.parametrize(("share", "filled"), [(0.5, 0.38), (0.5, 1.0), (0.0, 0.4), (0.9, 0.1)])
-def test_the_error_of_rays_that_are_not_told_apart_is_that_of_more_of_the_performer(make_run, share, filled):
-    """Synthetic rays: a million pixels of the box, the performer's with errors, the background without."""
+def test_training_error_of_rays_that_were_not_separated(make_run, share, filled):
+    """Synthetic rays: a million pixels of the box, with errors on the performer and none on the
+    background."""
     rng = np.random.default_rng(0)
     pixels = 1_000_000
     of_pixel = np.where(np.arange(pixels) < filled * pixels, rng.gamma(0.5, 2e-3, pixels), 0.0)
@@ -124,108 +133,72 @@ def test_the_error_of_rays_that_are_not_told_apart_is_that_of_more_of_the_perfor
     drawn = of_pixel[np.concatenate(chosen)]
     run = make_run()
     run.config["training"] = {"mask_share": share}
-    (run.path / "metrics.jsonl").write_text(json.dumps({"step": 1, "psnr": -10 * math.log10(drawn.mean())}) + "\n")
-    assert ended(run).own(filled) == pytest.approx(of_pixel.mean(), rel=0.02)
+    log_training(run, -10 * math.log10(drawn.mean()))
+    assert training_error(run).in_box(filled) == pytest.approx(of_pixel.mean(), rel=0.02)
+
+
+def log_training(run, psnr=30.0):
+    """Makes a run's training end with this PSNR."""
+    (run.path / "metrics.jsonl").write_text(json.dumps({"step": 1, "psnr": psnr}) + "\n")
+
+
+@pytest.mark.parametrize(("times", "expected", "again"), [
+    ((1.0,), ("took 1 s",), False),
+    ((9.0, 1.1), ("took 1.1 s", "9 s the first time"), False),
+    ((9.0, 2.0), ("took 2 s", "2 times"), True),
+    ((0.5,), ("took 0.5 s", "0.5 times"), True),
+])
+def test_the_time_reported_is_that_of_a_further_frame(make_run, times, expected, again):
+    """Images that took too long are rendered again; a time that is still off points to the profile."""
+    run, messages = make_run(), []
+    ticks = iter(
+        [tick for number, time in enumerate(times) for tick in (100.0 * number, 100.0 * number + time)]
+    )
+    choice = Choice(Setting(4), 1.0, 30.0, None)
+    frame = int(run.poses.frames[0])
+    render_choice(
+        choice,
+        run,
+        frame,
+        framing(run.poses.vertices[0], 8, 8),
+        False,
+        messages.append,
+        clock=lambda: next(ticks),
+    )
+    assert not list(ticks)
+    assert all(text in " ".join(messages) for text in expected)
+    assert any(".json" in message for message in messages) == again
+    assert 2.0 / 1.0 > 1 + TOLERANCE
 
 
 @pytest.fixture
-def counted(monkeypatch, tmp_path):
-    """A cache of the test's own, and profiles that are not measured but counted."""
+def profiled_run(make_run, monkeypatch, tmp_path):
+    """A run with a known profile for images of 24 × 24 pixels, in a cache of its own."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    made = []
-    monkeypatch.setattr(profile, "measure", lambda *a: made.append(a) or known_profile(0.01, 1e-7, error=3e-2))
-    monkeypatch.setattr(choice, "pace", lambda *a: 1.0)
-    return made
-
-
-def test_a_pace_is_that_of_the_profiles_own_pictures(trained_run, monkeypatch):
-    """A clock that goes by a second a picture, and now by three."""
-    clock = {"now": 0.0, "each": 1.0}
-
-    def image(self, *_):
-        clock["now"] += clock["each"]
-        return drawn
-
-    frame = int(trained_run.poses.frames[0])
-    drawn = profile.PACE.image(trained_run, frame, profile._camera(trained_run, frame, 0.0, (8, 8)))
-    monkeypatch.setattr(Setting, "image", image)
-    monkeypatch.setattr(profile.time, "perf_counter", lambda: clock["now"])
-    monkeypatch.setattr(profile, "converged", lambda: Setting(64))
-    monkeypatch.setattr("ndf_mi.render.image.Image.over", lambda self, background: np.zeros((8, 8, 3)))
-    monkeypatch.setattr(profile.metrics, "box_mask", lambda camera, vertices: np.ones((8, 8), bool))
-    measured = profile.measure(trained_run, (16, 16), False, lambda text: None)
-    assert all(sample.seconds == 1.0 for sample in measured.samples)
-    assert profile.pace(trained_run, (16, 16), False, measured) == pytest.approx(1.0)
-    clock["each"] = 3.0
-    assert profile.pace(trained_run, (16, 16), False, measured) == pytest.approx(3.0)
-    clock["each"] = 1e6
-    assert profile.pace(trained_run, (16, 16), False, measured) == profile.FARTHEST
-
-
-def test_a_slower_machine_gets_less(trained_run, counted, monkeypatch, tmp_path):
-    frame = int(trained_run.poses.frames[0])
-    camera = profile._camera(trained_run, frame, 0.0, (32, 32))
-    found = []
-    for slower in (1.0, 3.0):
-        monkeypatch.setattr(choice, "pace", lambda *a, slower=slower: slower)
-        found.append(choice.choose(trained_run, frame, camera, False, lambda text: None, budget=0.05))
-    assert found[1].setting.samples < found[0].setting.samples or found[1].setting.spp < found[0].setting.spp
-    assert all(f.seconds <= 0.05 for f in found)
-
-
-def test_a_profile_is_kept_and_made_anew_where_it_is_stale(make_run, counted, monkeypatch, tmp_path):
-    run, told = make_run(), []
-
-    def get(size=(8, 8), geometry=False):
-        told.clear()
-        return profile.profile_of(run, size, geometry, told.append)
-
-    first = get()
-    assert len(counted) == 1 and "none yet" in told[0]
-    assert get() == first and len(counted) == 1
-    file = Key.of(run, (8, 8), False).file
-    assert file.is_relative_to(tmp_path / "cache" / "ndf-mi") and json.loads(file.read_text())["key"]["size"] == [8, 8]
-    get((8, 9)), get((8, 8), True)
-    assert len(counted) == 3
-
-    run.parameters = run.parameters.replace(weights=run.parameters.weights + 0.5)
-    get()
-    assert len(counted) == 4 and "weights changed" in told[0]
-    described = profile.machine.describe()
-    monkeypatch.setattr(profile.machine, "describe", lambda: described | {"Versions": "another"})
-    get()
-    assert len(counted) == 5 and "versions changed" in told[0]
-    monkeypatch.setattr(profile, "code_digest", lambda: "another")
-    get()
-    assert len(counted) == 6 and "code that draws changed" in told[0]
-    for text in ("{", "[]", '{"format": "ndf-profile", "version": 0}', file.read_text().replace('"opacity": 0.4', '"opacity": "x"')):
-        file.write_text(text)
-        get()
-        assert "can't be read" in told[0] or "another version" in told[0]
-    assert get() == first and len(counted) == 10
-
-
-def test_a_profile_that_cannot_be_kept_serves_all_the_same(make_run, counted, monkeypatch, tmp_path):
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    told = []
-    assert profile.profile_of(make_run(), (8, 8), False, told.append).samples
-    assert "not kept" in told[-1]
-
-
-def test_render_in_a_time_and_within_an_error(make_run, counted, tmp_path, capsys):
     run = make_run()
-    (run.path / "metrics.jsonl").write_text('{"step": 1, "psnr": 30.0}\n')
-    out = tmp_path / "a.png"
-    for wish in (["--budget", "20ms"], ["--error", "0.5dB"]):
-        assert main(["render", str(run.path), "-o", str(out), "--size", "24", "24", *wish]) == 0
-        said = capsys.readouterr()
-        assert "believed to take" in said.err and "given up" in said.err and "took" in said.err
-        assert said.out.strip() == str(out) and out.exists()
-    assert len(counted) == 1
+    for geometry in (False, True):
+        profile.write(profile.Key.of(run, (24, 24), geometry), known_profile(0.01, 1e-7, error=3e-2))
+    return run
 
 
-@pytest.mark.parametrize(("options", "words"), [
+def render(run, tmp_path, *options):
+    return main(["render", str(run.path), "-o", str(tmp_path / "a.png"), "--size", "24", "24", *options])
+
+
+def test_render_within_a_budget_and_within_an_error(profiled_run, tmp_path, capsys):
+    log_training(profiled_run)
+    # The budget allows for a machine that is now several times slower than the profile.
+    for limit in (["--budget", "1s"], ["--error", "0.5dB"]):
+        assert render(profiled_run, tmp_path, *limit) == 0
+        printed = capsys.readouterr()
+        assert (
+            "expected to take" in printed.err and "samples per ray" in printed.err and "took" in printed.err
+        )
+        assert "measuring" not in printed.err
+        assert printed.out.strip() == str(tmp_path / "a.png") and (tmp_path / "a.png").exists()
+
+
+@pytest.mark.parametrize(("options", "named"), [
     (["--budget", "1s", "--samples", "64"], "--samples"),
     (["--budget", "1s", "--spp", "4"], "--spp"),
     (["--error", "1dB", "--cutoff", "0.1"], "--cutoff"),
@@ -238,28 +211,12 @@ def test_render_in_a_time_and_within_an_error(make_run, counted, tmp_path, capsy
     (["--error", "0.000001dB"], "at least"),
     (["--cutoff", "1"], "--cutoff"),
 ])
-def test_mistakes_are_told_with_exit_code_2(make_run, counted, tmp_path, capsys, options, words):
-    run = make_run()
-    (run.path / "metrics.jsonl").write_text('{"step": 1, "psnr": 30.0}\n')
-    assert main(["render", str(run.path), "-o", str(tmp_path / "a.png"), "--size", "16", "16", *options]) == 2
-    assert words in capsys.readouterr().err and not (tmp_path / "a.png").exists()
+def test_invalid_limits_exit_with_code_2(profiled_run, tmp_path, capsys, options, named):
+    log_training(profiled_run)
+    assert render(profiled_run, tmp_path, *options) == 2
+    assert named in capsys.readouterr().err and not (tmp_path / "a.png").exists()
 
 
-def test_an_error_needs_one_to_be_relative_to(make_run, counted, tmp_path, capsys):
-    assert main(["render", str(make_run().path), "-o", str(tmp_path / "a.png"), "--size", "16", "16", "--error", "1dB"]) == 2
-    assert "metrics.jsonl" in capsys.readouterr().err and not counted
-
-
-def test_a_real_profile_has_all_that_the_model_needs(trained_run, monkeypatch):
-    monkeypatch.setattr(profile, "HALF", {CUTOFFS[0]: (8, 32), CUTOFFS[1]: (16,)})
-    monkeypatch.setattr(profile, "WHOLE", {CUTOFFS[0]: (32,)})
-    monkeypatch.setattr(profile, "AZIMUTHS", (30.0,))
-    monkeypatch.setattr(profile, "REPEATS", 1)
-    made = profile.measure(trained_run, (24, 32), False, lambda text: None)
-    assert [(s.samples, s.error is None) for s in made.samples] == [(8, False), (32, False), (16, False), (32, True)]
-    assert all(s.seconds > 0 and s.tiles > 0 and s.lanes > 0 and s.launched >= s.evaluated > 0 for s in made.samples)
-    # A ball of radius 0.5 in its cube, which is seen from nearly in front and is padded by some more.
-    assert 0.2 < made.opacity < 0.8
-    model: CostModel = made.model()
-    assert model.error(Setting(32, CUTOFFS[0])) < model.error(Setting(8, CUTOFFS[0]))
-    assert (model.coefficients >= 0).all() and dataclasses.astuple(made.samples[0])
+def test_an_error_needs_the_runs_own_error(profiled_run, tmp_path, capsys):
+    assert render(profiled_run, tmp_path, "--error", "1dB") == 2
+    assert "metrics.jsonl" in capsys.readouterr().err

@@ -30,10 +30,10 @@ from ndf_mi.experiments.trade.results import TRUTH, Figures, Row, Trade
 from ndf_mi.experiments.trained import expect_options, read_options_of, trained
 from ndf_mi.learn.loop import expect_capture
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.render.profile import code_digest, sources_digest
 from ndf_mi.render.settings import Setting
 from ndf_mi.reports.tradeoff import write_trade_report
 from ndf_mi.run import Run
+from ndf_mi.source_digest import code_digest, sources_digest
 
 RESULTS = "tradeoff.json"
 TABLE = "tradeoff.csv"
