@@ -63,6 +63,9 @@ def preferred() -> str:
 def use(name: str | None = None) -> str:
     """Sets the variant unless one is set already; returns the active one.
 
+    On one core it gives Dr.Jit's thread pool a second thread: with one, Mitsuba waits forever when it reads or
+    writes EXR files.
+
     Args:
         name: the variant wanted; None takes the active one, or :func:`preferred`.
 
@@ -78,6 +81,9 @@ def use(name: str | None = None) -> str:
         raise InputError("variant", f"{active} active already", f"{name}", "Set one variant in a process.")
     chosen = preferred() if name is None else _checked(name, "variant")
     mi.set_variant(chosen)
+    dr = _working("drjit")
+    if dr.thread_count() < 2:
+        dr.set_thread_count(2)
     return chosen
 
 
