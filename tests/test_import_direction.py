@@ -25,13 +25,6 @@ LAYERS = (
 )
 LEVEL = {part: len(LAYERS) - i for i, layer in enumerate(LAYERS) for part in layer}
 
-#: Imports against the direction that have yet to go.
-UPWARD: set[tuple[str, str]] = {
-    ("ndf_mi.render.profile", "ndf_mi.experiments.metrics"),
-    ("ndf_mi.render.tuner", "ndf_mi.learn.options"),
-    ("ndf_mi.render.tuner", "ndf_mi.learn.scattering"),
-}
-
 
 def modules() -> dict[str, Path]:
     found = {}
@@ -83,8 +76,7 @@ def test_imports_run_one_way() -> None:
     upward = {(name, other) for name, others in GRAPH.items() for other in others
               if part(name) != part(other) and LEVEL.get(part(other), 0) > LEVEL.get(part(name), 0)
               and part(name) not in ("", "doctor")}
-    assert upward - UPWARD == set()
-    assert UPWARD - upward == set(), "no longer needed in UPWARD"
+    assert upward == set()
 
 
 def strongly_connected(graph: dict[str, set[str]]) -> list[list[str]]:
