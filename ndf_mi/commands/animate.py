@@ -36,8 +36,7 @@ class Animate:
     """The video: NAME.mp4."""
 
     camera: str = "orbit"
-    """orbit: circle and follow the performer. CAPTURE:NAME: a capture's camera. FILE: keyframes of
-    nerfstudio."""
+    """orbit: circle the performer. CAPTURE:NAME: a capture's camera. FILE: keyframed cameras in JSON."""
 
     shape: str | None = None
     """Shape coefficients to replace: by name, as in height=0.3,weight=-0.5, or the first ones as numbers."""
