@@ -1,12 +1,13 @@
 """What changes to the preset or the training options are worth on held-out images, and where the error is.
 
-    python benchmarks/choices.py captures/studio --steps 1500 --choice samples=128 --choice "decay=0.02 clip=8"
+    python benchmarks/choices.py captures/studio --steps 1500 --choice samples=128 --choice "decay=0.02
+    clip=8"
 
-Trains a field without changes and one for each `--choice`, all with one seed. A choice is one or more NAME=VALUE,
-as for `ndf-mi optimise --option`. Renders each field in the same held-out images. Box PSNR and SSIM are means over
-the images. The mean squared error, in 1e-4, is the sum of its parts at the silhouette's edge (pixels whose 3 × 3
-neighbours hold both performer and background), within it, and outside it. Seconds a step are the median of the
-last 300 and depend on the machine; the other figures do not.
+Trains a field without changes and one for each `--choice`, all with one seed. A choice is one or more
+NAME=VALUE, as for `ndf-mi optimise --option`. Renders each field in the same held-out images. Box PSNR and
+SSIM are means over the images. The mean squared error, in 1e-4, is the sum of its parts at the silhouette's
+edge (pixels whose 3 × 3 neighbours hold both performer and background), within it, and outside it. Seconds a
+step are the median of the last 300 and depend on the machine; the other figures do not.
 """
 
 from __future__ import annotations

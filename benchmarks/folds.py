@@ -1,13 +1,13 @@
-"""How much of a synthetic capture's images depends on folds that follow the pose, which a field without pose must
-lose.
+"""How much of a synthetic capture's images depends on folds that follow the pose, which a field without pose
+must lose.
 
     python benchmarks/folds.py captures/studio --images 12
 
-Renders the performer again in held-out images: unchanged with another seed, and with each fold at its mean over
-the training frames, which is all that a field without pose features can know. Sagging and shadows still follow
-the pose. Prints box PSNR against the capture's images, means over each split. The first is the images' noise.
-The second bounds the cost of leaving the pose out: the mean squared error e of a field that had the folds right
-grows to at most e + 10^(−PSNR/10).
+Renders the performer again in held-out images: unchanged with another seed, and with each fold at its mean
+over the training frames, which is all that a field without pose features can know. Sagging and shadows still
+follow the pose. Prints box PSNR against the capture's images, means over each split. The first is the images'
+noise. The second bounds the cost of leaving the pose out: the mean squared error e of a field that had the
+folds right grows to at most e + 10^(−PSNR/10).
 """
 
 from __future__ import annotations

@@ -43,8 +43,7 @@ class Animation:
         return self._renderer(posed, self._cameras[frame]).over(self._background)
 
     def cache_key(self, frame: int) -> str:
-        """SHA-256 of everything that a frame's image depends on: field, pose, shape, camera and render
-        settings."""
+        """SHA-256 of all that a frame's image depends on: field, pose, shape, camera, settings."""
         p, camera = self._performance, self._cameras[frame]
         intrinsics = (camera.fl_x, camera.fl_y, camera.cx, camera.cy, *camera.transform.flat)
         view = [camera.w, camera.h, *(round(float(v), 6) for v in intrinsics)]

@@ -39,7 +39,7 @@ def parse_shape(text: str, body: Body, performer: np.ndarray | None) -> np.ndarr
         name, _, value = part.rpartition("=")
         name = name.strip()
         if named[0] and name not in names:
-            expected = "one of " + ", ".join(names) if names else "numbers: the body's coefficients have no names"
+            expected = ", ".join(names) if names else "numbers: the body's coefficients have no names"
             raise InputError(_WHERE, f"the name {name!r}", expected)
         shape[names.index(name) if named[0] else i] = _number(value, text)
     return shape

@@ -136,7 +136,8 @@ class BatchSampler:
             pose[1:] += rng.normal(0.0, options.pose_noise, pose[1:].shape).astype(np.float32)
         paths = PathSeeds(rng.random(3), int(rng.integers(2**32))) if scattering else None
         origin, direction, target, mask, mask_valid, in_box = rays
-        return Batch(self._frames[row], origin, direction, target, mask, mask_valid, in_box, jitter, pose.ravel(),
+        return Batch(self._frames[row], origin, direction, target, mask, mask_valid, in_box, jitter,
+                     pose.ravel(),
                      edge_active, paths)
 
     def _draw(self, rng: np.random.Generator, row: int, column: int, count: int) -> tuple[np.ndarray, ...]:
@@ -151,8 +152,7 @@ class BatchSampler:
 
 
 def _edge(mask: np.ndarray, kernel: int) -> np.ndarray:
-    """Pixels around which a square of `kernel` pixels holds performer and background (dilation minus
-    erosion)."""
+    """Pixels around which a square of `kernel` pixels holds both performer and background."""
     if kernel < 2:
         return np.zeros_like(mask)
     square = np.ones((kernel, kernel), bool)

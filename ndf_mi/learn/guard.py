@@ -1,5 +1,4 @@
-"""Refuses training steps that would leave parameters that are not finite, and returns to the last good
-state."""
+"""Refuses training steps that are not finite and returns to the last good state."""
 
 from __future__ import annotations
 
@@ -18,12 +17,10 @@ PATIENCE = 8
 FACTOR = 0.5
 """Factor on the learning rates at each refused step."""
 RECOVERY = 10
-"""Number of snapshots in a row, without a refused step, after which the rates double again, up to the
-requested ones."""
+"""Snapshots in a row without a refused step after which reduced rates double."""
 
 HARMLESS = 1e30
-"""Learning rates below which a single step cannot overflow float32: an Adam step is at most ten rates
-long."""
+"""Learning rates below which no step overflows float32: an Adam step is at most ten rates long."""
 
 
 class Guard:

@@ -191,8 +191,7 @@ class _Bar:
 
 
 class _Signals:
-    """Records SIGINT and SIGTERM in its block instead of their usual effect. A second signal has the usual
-    effect."""
+    """Records SIGINT and SIGTERM instead of their usual effect, which a second signal has."""
 
     def __init__(self) -> None:
         self.received = False

@@ -88,8 +88,8 @@ class NoisyLoss:
     square.
 
     The square of an estimate's error has the mean (E f − t)² + Var f. Its gradient also reduces the variance,
-    which thinner or darker media have less of. Here each estimate's error is multiplied with the mean error
-    of the others, which is independent of it:
+    and thinner or darker media have less of it. Here each estimate's error is multiplied by the mean error of
+    the others, which is independent of it:
 
         Σ_i (f_i − t)·(mean_{j≠i} f_j − t) / n,    whose mean is (E f − t)²
 

@@ -25,8 +25,7 @@ class TrainingOptions:
     """Number of steps. The learning rates decay over these."""
 
     seconds: float = 0.0
-    """If above 0: training time in seconds. The rates then decay with the clock, and `steps` is an upper
-    limit."""
+    """If above 0: training time in seconds. The rates decay with the clock; `steps` is an upper limit."""
 
     rays: int = 1024
     """Rays a step."""
@@ -35,8 +34,7 @@ class TrainingOptions:
     """Candidate samples a ray."""
 
     atlas: str = "body"
-    """Texture coordinates of the field: `body` for the capture's own, `one-piece` for the body cut open into
-    one chart."""
+    """Texture coordinates: `body` for the capture's own, `one-piece` for the body cut into one chart."""
 
     skip_empty: bool = True
     """Skip samples in cells that have been empty so far, except for a random eighth of them."""
@@ -48,8 +46,8 @@ class TrainingOptions:
     """Share of the rays drawn from the mask's pixels; the others are drawn from the body's padded box."""
 
     edge_kernel: int = 0
-    """Pixels are not drawn if a square of this many pixels around them holds both performer and background; 0
-    draws all pixels. The paper uses 3."""
+    """Skip pixels if a square of this many pixels around them holds both performer and background; 0 skips
+    none, the paper uses 3."""
 
     box_padding: float = BOX_PADDING
     """Padding of the body's box in metres, for the pixels drawn."""
@@ -94,21 +92,19 @@ class TrainingOptions:
     """Time between checkpoints in seconds."""
 
     integrator: str = QUADRATURE
-    """How pixels are computed: `ndf_quadrature` (emission and absorption) or `prbvolpath` (scattering, under
-    the capture's light)."""
+    """`ndf_quadrature`: emission and absorption; `prbvolpath`: scattering under the capture's light."""
 
     warm_up: int = 1500
-    """Steps by quadrature before those through scattering, which start from its density; not with
-    `ndf_quadrature`."""
+    """Steps by quadrature before those through scattering (only with `prbvolpath`)."""
 
     paths: int = 16
-    """Paths a ray, at least 2; not with `ndf_quadrature`."""
+    """Paths a ray, at least 2 (only with `prbvolpath`)."""
 
     max_depth: int = 12
-    """Maximum path depth as Mitsuba counts it: 2 is single scattering; not with `ndf_quadrature`."""
+    """Maximum path depth as Mitsuba counts it: 2 is single scattering (only with `prbvolpath`)."""
 
     cell: float = 0.0125
-    """Spacing in metres of the grid on which paths scatter; not with `ndf_quadrature`."""
+    """Spacing in metres of the grid on which paths scatter (only with `prbvolpath`)."""
 
     def __post_init__(self) -> None:
         for key in ("steps", "rays", "samples", "learning_rate", "grid_rate", "decay", "clip",

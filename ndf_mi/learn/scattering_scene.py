@@ -1,5 +1,4 @@
-"""The scene that a field is trained in through scattering: lights, a moving performer, one kernel for all
-frames."""
+"""The scene for training through scattering: lights, a moving performer, one kernel for all frames."""
 
 from __future__ import annotations
 

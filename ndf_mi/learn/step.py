@@ -1,5 +1,4 @@
-"""One training step as a function: ``loss, statistics = step(parameters, batch)``. By quadrature; see also
-`scattering`."""
+"""A training step by quadrature as a function: ``loss, statistics = step(parameters, batch)``."""
 
 from __future__ import annotations
 

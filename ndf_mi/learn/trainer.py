@@ -1,5 +1,4 @@
-"""Takes training steps: draws batches, updates parameters with Adam, refuses bad steps, saves and
-restores."""
+"""Takes training steps: batch, loss, Adam, refusal of bad steps; saves and restores the state."""
 
 from __future__ import annotations
 

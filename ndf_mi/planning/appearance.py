@@ -94,8 +94,7 @@ class Appearance:
         return self._gain(self._shading, folds, given_normal=False)
 
     def view(self, given_normal: bool) -> Estimate:
-        """What the mirrored view explains beyond the place, and beyond the normal if given, in cameras not
-        fitted."""
+        """What the mirrored view explains beyond place (and normal, if given), in cameras not fitted."""
         if self._cameras < 3:
             return UNKNOWN
         return self._gain(self._highlights, self._camera, given_normal)
@@ -170,8 +169,7 @@ class Appearance:
         return (total / np.maximum(weight, 1e-9)[:, None])[self._place]
 
     def _shared(self, residual: np.ndarray, place: np.ndarray) -> Estimate:
-        """The covariance of rows of one place and frame in different cameras, minus that of such pairs in two
-        frames."""
+        """The covariance of two cameras' rows at one place in one frame, minus that in two frames."""
         order = np.lexsort((self._camera, self._frame, place))
         starts = np.flatnonzero(np.diff(place[order], prepend=-1))
         bins = int(2 / _BIN) + 1
@@ -205,8 +203,7 @@ def directions(count: int) -> np.ndarray:
 
 
 def boxes(points: np.ndarray, size: float, normals: np.ndarray | None = None) -> np.ndarray:
-    """(N,) int index of the box of that size that each point lies in, separate for each main axis of the
-    normals."""
+    """(N,) int index of each point's box of that size, separate for each main axis of the normals."""
     key = np.floor((points - points.min(axis=0)) / size).astype(np.int64)
     if normals is not None:
         axis = np.abs(normals).argmax(axis=1)
@@ -226,8 +223,7 @@ def _mean(groups: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _estimate(values: np.ndarray, weights: np.ndarray, clusters: np.ndarray) -> Estimate:
-    """The weighted mean, and its standard error with arbitrary correlation within clusters (sandwich
-    estimator)."""
+    """The weighted mean, and its cluster-robust standard error (sandwich estimator)."""
     mean = float(np.average(values, weights=weights))
     index = np.unique(clusters, return_inverse=True)[1]
     sums = np.bincount(index, weights * (values - mean))

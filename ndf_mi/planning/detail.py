@@ -87,8 +87,7 @@ def _within(points: np.ndarray, chosen: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _noise(views: Sequence[View]) -> float:
-    """σ from the median of |x₀₀ − x₀₁ − x₁₀ + x₁₁| / 2 within the masks, which is 0.6745 σ for white normal
-    noise."""
+    """σ from the median of |x₀₀ − x₀₁ − x₁₀ + x₁₁| / 2, which is 0.6745 σ for white normal noise."""
     parts = []
     for view in views:
         x = view.image.astype(np.float64)

@@ -190,8 +190,7 @@ def harmonics(d: np.ndarray) -> np.ndarray:
 
 
 def triangle_frames(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(F, 3, 3) orthonormal rows of each triangle: along its first edge, across it, and the normal; zeros if
-    degenerate."""
+    """(F, 3, 3) orthonormal rows: along the first edge, across it, the normal; zeros if degenerate."""
     a, b, c = (vertices[corner] for corner in faces.T)
     along = _unit(b - a)
     normal = _unit(np.cross(b - a, c - a))

@@ -22,8 +22,7 @@ STEPS = ("images", "light", "view", "pose", "silhouettes", "detail")
 
 
 def full_model() -> Preset:
-    """The full model that plans start from: `fast` with the mirrored view direction, which `fast` itself
-    leaves out."""
+    """The full model that plans start from: `fast` plus the mirrored view direction."""
     return dataclasses.replace(preset("fast"), name="full", direction_octaves=2, direction="mirrored")
 
 

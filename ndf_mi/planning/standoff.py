@@ -1,5 +1,4 @@
-"""How far the performer's surface stands off the body: rays where mask and body disagree, and how close they
-pass."""
+"""How far the performer's surface stands off the body, from rays on which mask and body disagree."""
 
 from __future__ import annotations
 
