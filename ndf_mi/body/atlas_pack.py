@@ -1,4 +1,4 @@
-"""Placing charts in the unit square, at one scale and without turning them over."""
+"""Places charts in the unit square, at one scale and without flipping them."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 MARGIN = 1 / 256
-"""Free space around each chart, as a share of the square's side."""
+"""Free space around each chart, as a fraction of the square's side."""
 
 
 def pack(charts: list[np.ndarray]) -> np.ndarray:
-    """All charts' vertices in order, (ΣU, 2) in [0, 1]: turned, then in rows by falling height.
+    """The vertices of all charts in order, (ΣU, 2) in [0, 1]: the charts are rotated, and placed in rows by
+    height.
 
-    Charts are turned so that the square around each, or else the rectangle, is smallest: whichever serves better.
+    Charts are rotated so that the square, or else the rectangle, around each is smallest, whichever packs
+    better.
 
     Args:
         charts: (U, 2) each, at one scale.
@@ -29,13 +31,17 @@ def pack(charts: list[np.ndarray]) -> np.ndarray:
             best = side, turned, places
     assert best is not None
     side, turned, places = best
-    return (np.concatenate([chart + place for chart, place in zip(turned, places, strict=True)]) / side).clip(0, 1)
+    placed = [chart + place for chart, place in zip(turned, places, strict=True)]
+    return (np.concatenate(placed) / side).clip(0, 1)
 
 
 def _turned(flat: np.ndarray, measure: Callable[[np.ndarray], float]) -> np.ndarray:
-    """Turns a chart, (U, 2), by the degree for which the measure of its sides is least; upright, least coordinates 0."""
+    """Rotates a chart, (U, 2), by the whole degree with the least measure of its sides; upright, from 0
+    upwards.
+    """
     angles = np.deg2rad(np.arange(90.0))
-    turns = np.stack([np.cos(angles), -np.sin(angles), np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2, 2)
+    turns = np.stack([np.cos(angles), -np.sin(angles), np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2,
+                                                                                                        2)
     turned = flat @ min(turns, key=lambda turn: measure(np.ptp(flat @ turn.T, axis=0))).T
     if np.ptp(turned[:, 0]) > np.ptp(turned[:, 1]):
         turned = np.stack([-turned[:, 1], turned[:, 0]], axis=1)
@@ -43,7 +49,9 @@ def _turned(flat: np.ndarray, measure: Callable[[np.ndarray], float]) -> np.ndar
 
 
 def _spread(sizes: np.ndarray, order: np.ndarray, gap: float) -> tuple[np.ndarray, float]:
-    """Places of the boxes, (N, 2), with free space on all sides of each, and the side of the smallest square found."""
+    """Positions of the boxes, (N, 2), with free space around each, and the side of the smallest square
+    found.
+    """
     widest = float(sizes[:, 0].max())
     widths = np.unique(np.r_[widest, np.geomspace(widest, max(float(sizes[:, 0].sum()), widest), 24)])
     tried = [_rows(sizes, order, gap, float(width) * (1 + 1e-9) + (len(sizes) + 1) * gap) for width in widths]

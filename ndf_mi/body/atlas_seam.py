@@ -1,11 +1,12 @@
-"""Where a surface is cut so that it becomes a disk that can be laid flat without squeezing its limbs.
+"""Chooses the seam along which a surface is cut, so that it becomes a disk that can be flattened with its
+limbs.
 
-The seam starts as a tree of shortest paths between the boundary loops, with the loops that open every handle; the tree
-and the leftover edges of its cotree give those (Erickson and Whittlesey, "Greedy optimal homotopy and homology
-generators", SODA 2005). It then grows to whatever a harmonic map of the cut surface onto a disk squeezes: hands,
-fingers, feet, head. Growing a cut to where the map is stretched most is from Gu, Gortler and Hoppe, "Geometry images",
-SIGGRAPH 2002. Paths prefer edges that are
-seen from few directions, that face away from the front, and that are long.
+The seam starts as a tree of shortest paths between the boundary loops, with loops that open every handle;
+these come from the tree and the remaining edges of its cotree (Erickson and Whittlesey, "Greedy optimal
+homotopy and homology generators", SODA 2005). It then grows to every region that a harmonic map of the cut
+surface onto a disk squeezes: hands, fingers, feet, head. Gu, Gortler and Hoppe ("Geometry images", SIGGRAPH
+2002) grow a cut to where the map is stretched most. Paths prefer edges that are visible from few directions,
+face away from the front, and are long.
 """
 
 from __future__ import annotations
@@ -19,16 +20,18 @@ from ndf_mi.body.atlas_flatten import harmonic_disk
 from ndf_mi.body.mesh import vertex_normals
 
 SQUEEZED = 1e-4
-"""Share of its area below which a harmonic map onto the disk squeezes a vertex so much that the seam must reach there.
+"""The seam must reach a vertex whose area shrinks by more than this in a harmonic map onto the disk.
 
-A tube of length L and radius r shrinks by about exp(-2L/r), so that this asks for limbs of more than about 4.6 radii."""
+A tube of length L and radius r shrinks by about exp(-2L/r): limbs longer than about 4.6 radii are reached."""
 
 LEAST_PERIMETER = 0.5
-"""The least perimeter of a chart on the surface, as a share of that of a flat disk of its area, which has the least of all
-flat shapes. Below, as for a ball with a small hole, the seam grows."""
+"""The least perimeter of a chart, relative to that of a flat disk of its area. A shorter one grows, such as
+that of a ball with a small hole."""
 
 HIDDEN = 0.15
-"""Share of directions from which a vertex must be seen to count as squeezed: the inside of a mouth may be small."""
+"""Fraction of directions from which a vertex must be visible to count as squeezed: the inside of a mouth may
+be small.
+"""
 
 _ROUNDS = 16
 _DIRECTIONS = 64
@@ -42,8 +45,8 @@ def choose_seam(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, fro
     Args:
         points: (V, 3) float64.
         faces: (F, 3), connected; every vertex has one fan of triangles.
-        opposite: its half-edges' opposites, of `atlas_mesh.opposites`.
-        front: (3,) unit vector; paths prefer what faces away from it.
+        opposite: its half-edges' opposites, from `atlas_mesh.opposites`.
+        front: (3,) unit vector; paths prefer vertices that face away from it.
     """
     seam = _Seam(points, faces, opposite, front)
     loops = mesh.boundary_loops(faces, opposite)
@@ -75,7 +78,9 @@ def choose_seam(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, fro
 class _Seam:
     """A growing seam: its vertices, its half-edges, and shortest paths to it."""
 
-    def __init__(self, points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, front: np.ndarray) -> None:
+    def __init__(
+        self, points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, front: np.ndarray
+    ) -> None:
         self._opposite = opposite
         self.cut = np.zeros(len(opposite), bool)
         self.reached = np.zeros(len(points), bool)
@@ -83,10 +88,11 @@ class _Seam:
         corners = faces.ravel()
         self._u, self._v = corners[self._h], corners[mesh.following(self._h)]
         length = np.linalg.norm(points[self._u] - points[self._v], axis=1)
-        length = np.maximum(length, 1e-6 * length.mean())  # no free steps: paths would be ties
+        length = np.maximum(length, 1e-6 * length.mean())  # without steps of no length, which would tie paths
         self.seen = openness(points, faces)
-        factor = 1 + _OPEN_COST * self.seen + _FRONT_COST * np.maximum(vertex_normals(points, faces) @ front, 0)
-        # Meshes are fine where it matters, in the face: a step costs more than its length.
+        factor = 1 + _OPEN_COST * self.seen + _FRONT_COST * np.maximum(vertex_normals(points, faces) @ front,
+                                                                       0)
+        # Meshes are fine in the face, where a seam shows: each step costs more than its length.
         self._cost = (length + length.mean()) * (factor[self._u] + factor[self._v]) / 2
         self._length = length
         self._lengths, self._costs = self._graph(length), self._graph(self._cost)
@@ -106,7 +112,7 @@ class _Seam:
 
     @property
     def perimeter(self) -> float:
-        """The length of the boundary once the seam is open: the seam counts on both sides."""
+        """The length of the boundary after cutting: both sides of the seam count."""
         sides = 2.0 * self.cut[self._h] + (self._opposite[self._h] < 0)
         return float(sides @ self._length)
 
@@ -114,7 +120,7 @@ class _Seam:
         self.reached[vertices] = True
 
     def extend(self, targets: list[np.ndarray]) -> None:
-        """Joins sets of vertices to the seam, the nearest first; a path ends where it first meets one."""
+        """Joins sets of vertices to the seam, the nearest first; a path ends where it first meets a set."""
         targets = list(targets)
         while targets:
             far, before = self._paths()
@@ -126,7 +132,8 @@ class _Seam:
 
     def _paths(self) -> tuple[np.ndarray, np.ndarray]:
         sources = np.nonzero(self.reached)[0]
-        far, before, _ = csgraph.dijkstra(self._costs, indices=sources, min_only=True, return_predecessors=True)
+        far, before, _ = csgraph.dijkstra(self._costs, indices=sources, min_only=True,
+                                          return_predecessors=True)
         return far, before
 
     def _walk(self, vertex: int, before: np.ndarray) -> None:
@@ -145,7 +152,9 @@ class _Seam:
         self.cut[[h, self._opposite[h]]] = True
 
     def open_handles(self) -> None:
-        """Adds the 2g loops of a tree-cotree decomposition: edges in neither tree, with their paths to the seam."""
+        """Adds the 2g loops of a tree-cotree decomposition: edges in neither tree, with their paths to the
+        seam.
+        """
         far, before = self._paths()
         tree = np.zeros(len(self._h), bool)
         for vertex in np.nonzero(before >= 0)[0].tolist():
@@ -153,7 +162,8 @@ class _Seam:
         across = self._opposite[self._h]
         crossed = np.nonzero(~tree & (across >= 0) & ~self.cut[self._h])[0]
         loop = far[self._u] + self._cost + far[self._v]
-        # Kruskal's algorithm by rank, longest loops first: ranks differ, so that the tree is one and its edges are known.
+        # Kruskal's algorithm by rank, longest loops first: ranks differ, so that the tree is one and its
+        # edges are known.
         crossed = crossed[np.argsort(-loop[crossed], kind="stable")]
         one, other = self._h[crossed] // 3, across[crossed] // 3
         pairs = np.sort(np.stack([one, other], 1), axis=1)
@@ -167,8 +177,10 @@ class _Seam:
             self._open(edge)
 
 
-def _squeezed_tips(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, seam: _Seam) -> list[np.ndarray]:
-    """In every region that a harmonic map of the cut surface squeezes: the vertex farthest from the seam."""
+def _squeezed_tips(
+    points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, seam: _Seam
+) -> list[np.ndarray]:
+    """The vertex farthest from the seam in every region that a harmonic map of the cut surface squeezes."""
     split = mesh.vertices_after_cut(opposite, seam.cut)
     source = np.zeros(split.max() + 1, np.int64)
     source[split.ravel()] = faces.ravel()
@@ -191,10 +203,11 @@ def _squeezed_tips(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, 
 
 
 def openness(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The share of 64 directions from which each vertex is seen, (V,) in [0, 0.5], by depth maps of samples of the surface.
+    """(V,) the fraction of 64 directions from which each vertex is visible, in [0, 0.5], from depth maps of
+    surface samples.
 
-    An estimate: a vertex counts as hidden where the surface in its cell, a mean edge wide, is more than a cell nearer.
-    Slanting views are lost by that: it gives about 0.3 on a ball.
+    This is an estimate: a vertex counts as hidden if the surface in its cell, a mean edge wide, is more than
+    a cell nearer. Slanting views are lost, so that a ball gets about 0.3.
     """
     corners = points[faces]
     middles = (corners + np.roll(corners, -1, axis=1)) / 2

@@ -1,4 +1,4 @@
-"""A body: its triangles and texel coordinates and, where known, the skinned model that poses it (``body.npz``)."""
+"""A body: triangles, texture coordinates and, if known, the skinned model that poses it (``body.npz``)."""
 
 from __future__ import annotations
 
@@ -14,32 +14,35 @@ from ndf_mi.body import arrays
 from ndf_mi.errors import InputError
 
 MODEL = ("template", "joints", "joint_names", "parents", "weights")
-"""The fields that a body needs for skinning; without them it is only a mesh whose vertices come from ``poses.npz``."""
+"""The fields that skinning needs. Without them a body is only a mesh, whose vertices come from
+``poses.npz``.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A triangle mesh with texel coordinates and an optional linear blend skinning model. Metres, y up.
+    """A triangle mesh with texture coordinates and an optional linear blend skinning model. Metres, y up.
 
-    F triangles, V vertices, U texel coordinates, J joints, B shape coefficients. Every field is checked and brought to
-    its type on construction. Two bodies are equal only if they are the same object.
+    F triangles, V vertices, U texture coordinates, J joints, B shape coefficients. Every field is checked and
+    converted to its type on construction. Two bodies are equal only if they are the same object.
 
     Attributes:
-        faces: (F, 3) int32, vertices of each triangle, counter-clockwise seen from outside.
+        faces: (F, 3) int32, the vertices of each triangle, counter-clockwise seen from outside.
         uv: (U, 2) float32 in [0, 1], v up.
         uv_faces: (F, 3) int32 into ``uv``, corner by corner with ``faces``.
         template: (V, 3) float32, the rest vertices at shape 0.
         joints: (J, 3) float32, the rest joints at shape 0.
         joint_names: J names, all different.
-        parents: (J,) int32, the parent of each joint; -1 for the root, which comes first; parents precede children.
-        weights: (V, J) float32, not negative, each row sums to 1 within 1e-3.
-        shape_dirs: (V, 3, B) float32, what a shape coefficient of 1 adds to the rest vertices.
-        pose_dirs: (V, 3, 9·(J-1)) float32, times R - I of the joints but the root, row by row.
-        joint_dirs: (J, 3, B) float32, what a shape coefficient of 1 adds to the rest joints.
+        parents: (J,) int32, the parent of each joint; -1 for the root, which comes first; parents precede
+            children.
+        weights: (V, J) float32, not negative; each row sums to 1 within 1e-3.
+        shape_dirs: (V, 3, B) float32, added to the rest vertices by a shape coefficient of 1.
+        pose_dirs: (V, 3, 9·(J-1)) float32, multiplied by R - I of all joints but the root, row by row.
+        joint_dirs: (J, 3, B) float32, added to the rest joints by a shape coefficient of 1.
         shape_names: B names.
 
     Raises:
-        InputError: naming the field, what was found and what was expected.
+        InputError: a field is wrong; the message names it.
     """
 
     faces: np.ndarray
@@ -61,12 +64,12 @@ class Body:
 
     @property
     def skinned(self) -> bool:
-        """Whether the body has what linear blend skinning needs."""
+        """Whether the body has all that linear blend skinning needs."""
         return all(getattr(self, name) is not None for name in MODEL)
 
     @property
     def joint_count(self) -> int:
-        """J, or 0 where the joints are not known."""
+        """J, or 0 if the joints are not known."""
         return 0 if self.joints is None else len(self.joints)
 
     @property
@@ -75,16 +78,17 @@ class Body:
         return 0 if self.shape_dirs is None else self.shape_dirs.shape[2]
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes ``body.npz``, whole or not at all; fields that are None are left out."""
+        """Writes ``body.npz`` atomically, without the fields that are None."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        files.write_npz(path, **{name: np.asarray(value) for name, value in fields.items() if value is not None})
+        files.write_npz(path,
+                        **{name: np.asarray(value) for name, value in fields.items() if value is not None})
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Body:
         """Reads and checks ``body.npz``.
 
         Raises:
-            InputError: naming the file and the key, what was found and what was expected.
+            InputError: the file or a field is wrong; the message names the key.
         """
         names = [f.name for f in dataclasses.fields(cls)]
         found = arrays.read_npz(path, names[:3], names[3:])
@@ -92,17 +96,18 @@ class Body:
             if name in found and (found[name].dtype.kind != "U" or found[name].ndim != 1):
                 kind = f"type {found[name].dtype}, shape {found[name].shape}"
                 raise InputError(f"{path}: {name}", kind, "a list of strings")
-        fields: dict[str, Any] = {k: tuple(v.tolist()) if k.endswith("_names") else v for k, v in found.items()}
+        fields: dict[str, Any] = {k: tuple(v.tolist()) if k.endswith("_names") else v
+                                  for k, v in found.items()}
         with arrays.located("body", path):
             return cls(**fields)
 
 
 def _checked(body: Body, where: str) -> dict[str, np.ndarray | tuple[str, ...]]:
-    """The fields that are there, in their types; raises InputError at the first that is wrong."""
+    """The fields that are given, in their types; raises InputError at the first that is wrong."""
     out: dict[str, np.ndarray | tuple[str, ...]] = {}
     uv = out["uv"] = arrays.floats(f"{where}: uv", body.uv, (None, 2))
     if len(uv) == 0:
-        raise InputError(f"{where}: uv", "no texel coordinates", "a mesh with UVs")
+        raise InputError(f"{where}: uv", "no texture coordinates", "a mesh with UVs")
     if uv.min() < 0 or uv.max() > 1:
         raise InputError(f"{where}: uv", f"values from {uv.min()} to {uv.max()}", "values from 0 to 1")
     count = None if body.template is None else len(body.template)
@@ -125,8 +130,8 @@ def _checked(body: Body, where: str) -> dict[str, np.ndarray | tuple[str, ...]]:
         off = np.abs(weights.sum(1, dtype=np.float64) - 1)
         if weights.min(initial=0) < 0 or off.max(initial=0) > 1e-3:
             worst = int(off.argmax())
-            found = f"a least weight of {weights.min()}; row {worst} sums to {weights[worst].sum()}"
-            raise InputError(f"{where}: weights", found, "weights of at least 0 whose rows sum to 1")
+            found = f"least weight {weights.min()}, and row {worst}, which sums to {weights[worst].sum()}"
+            raise InputError(f"{where}: weights", found, "weights of 0 or more, in rows that sum to 1")
     shapes = None
     if body.shape_dirs is not None:
         shapes = out["shape_dirs"] = arrays.floats(f"{where}: shape_dirs", body.shape_dirs, (count, 3, None))
@@ -147,7 +152,7 @@ def _names(where: str, names: tuple[str, ...], count: int | None) -> tuple[str, 
         raise InputError(where, f"{len(names)} names", f"{count}")
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise InputError(where, f"{', '.join(twice)} more than once", "names that differ")
+        raise InputError(where, f"{', '.join(twice)} more than once", "each name once")
     return names
 
 
@@ -157,5 +162,5 @@ def _parents(where: str, parents: np.ndarray, count: int | None) -> np.ndarray:
     wrong = [j for j, p in enumerate(parents) if (p != -1 if j == 0 else not 0 <= p < j)]
     if wrong:
         found = f"joint {wrong[0]} with the parent {parents[wrong[0]]}"
-        raise InputError(where, found, "-1 for joint 0 and for every other joint one that precedes it")
+        raise InputError(where, found, "-1 for joint 0, and an earlier joint for every other")
     return parents

@@ -1,4 +1,4 @@
-"""BVH motion files: a hierarchy of joints with channels, and a line of numbers a frame."""
+"""BVH motion files: a hierarchy of joints with channels, then a line of numbers for each frame."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ _CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A motion of J joints over T frames, in the file's own length unit, y up. Parents precede their children.
+    """A motion of J joints over T frames, in the file's own length unit, y up. Parents precede their
+    children.
 
     Attributes:
-        name: what messages call the clip.
-        joint_names: J names as the file has them.
+        name: the clip's name in messages.
+        joint_names: J names as in the file.
         parents: (J,) int32, -1 for the root, which comes first.
         offsets: (J, 3) float64, each joint relative to its parent at rest.
         end_sites: joint index → (3,) offset of the end site below it.
@@ -49,17 +50,18 @@ class Clip:
         return (len(self) - 1) * self.frame_time
 
     def at(self, times: np.ndarray) -> Clip:
-        """The clip at ``times``, (T',) seconds after its first frame: positions linear, rotations on the shortest arc.
+        """The clip at ``times``, (T',) seconds after its first frame: linear in positions, shortest arc in
+        rotations.
 
         The result's ``frame_time`` is the mean step of ``times``.
 
         Raises:
-            InputError: a time before the first frame or after the last.
+            InputError: a time is before the first frame or after the last.
         """
         times = np.atleast_1d(np.asarray(times, dtype=np.float64))
         slack = 1e-3 * self.frame_time
         if len(times) == 0 or not (times.min() >= -slack and times.max() <= self.duration + slack):
-            found = "no times" if len(times) == 0 else f"times from {times.min():.4g} s to {times.max():.4g} s"
+            found = f"times from {times.min():.4g} s to {times.max():.4g} s" if len(times) else "no times"
             raise InputError(f"clip {self.name}", found, f"times from 0 s to {self.duration:.4g} s")
         place = np.clip(times / self.frame_time, 0, len(self) - 1)
         before = np.minimum(place.astype(np.int64), max(len(self) - 2, 0))
@@ -87,17 +89,18 @@ class Clip:
         for j, p in enumerate(self.parents):
             if p >= 0:
                 rotations[:, j] = rotations[:, p] @ self.rotations[:, j]
-                positions[:, j] = positions[:, p] + np.einsum("tab,tb->ta", rotations[:, p], self.positions[:, j])
+                positions[:, j] = positions[:, p] + np.einsum("tab,tb->ta", rotations[:, p],
+                                                              self.positions[:, j])
         return rotations, positions
 
 
 def read_bvh(path: str | os.PathLike[str]) -> Clip:
-    """Reads a BVH file with one root. Channels may come in any order, positions on any joint; end sites are kept.
+    """Reads a BVH file with one root. Channels may be in any order, and any joint may have positions.
 
-    Rotations apply in the order in which the channels stand, intrinsically; angles are degrees in the file.
+    Rotations are intrinsic, in the order of the channels; angles in the file are degrees.
 
     Raises:
-        InputError: naming the file and the line, what was found and what was expected.
+        InputError: the file is missing or wrong; the message names the line.
     """
     path = Path(path)
     try:
@@ -105,7 +108,7 @@ def read_bvh(path: str | os.PathLike[str]) -> Clip:
     except FileNotFoundError:
         raise InputError(path, "no such file", "a BVH file") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"no text ({error})", "a BVH file") from error
+        raise InputError(path, f"a file that cannot be read as text ({error})", "a BVH file") from error
     reader = _Reader(path, lines)
     skeleton = _Skeleton()
     reader.expect("HIERARCHY")
@@ -125,7 +128,7 @@ class _Skeleton:
 
 
 class _Reader:
-    """The file's words one by one, remembering their lines; blank lines are passed over."""
+    """Reads a file word by word and keeps track of the line; skips blank lines."""
 
     def __init__(self, path: Path, lines: list[str]) -> None:
         self.path = path
@@ -155,7 +158,7 @@ class _Reader:
         return _number(self.where, word, expected)
 
     def rest(self, expected: str) -> str:
-        """The words left on this line, joined."""
+        """The remaining words of this line, joined."""
         first = self.word(expected)
         text = " ".join([first, *self.words])
         self.words = []
@@ -173,7 +176,7 @@ def _number(where: str, word: str, expected: str) -> float:
 
 
 def _read_joints(reader: _Reader, skeleton: _Skeleton) -> None:
-    """The root, from its name to its closing brace, and all joints inside it, however deep they are nested."""
+    """Reads the root, from its name to its closing brace, and all joints inside it."""
     open_joints = [_open_joint(reader, skeleton, -1)]
     while open_joints:
         joint = open_joints[-1]
@@ -198,7 +201,7 @@ def _open_joint(reader: _Reader, skeleton: _Skeleton, parent: int) -> int:
     """Reads a joint's name, opening brace and offset; returns its index."""
     name = reader.rest("a joint's name")
     if name in skeleton.names:
-        raise InputError(reader.where, f"a second joint {name!r}", "names that differ")
+        raise InputError(reader.where, f"a second joint {name!r}", "each name once")
     skeleton.names.append(name)
     skeleton.parents.append(parent)
     skeleton.channels.append([])
@@ -223,7 +226,7 @@ def _read_channels(reader: _Reader) -> list[str]:
             raise InputError(reader.where, repr(channel), f"{count} of {', '.join(_CHANNELS)}")
     named = [known[c.lower()] for c in channels]
     if len(set(named)) < len(named):
-        raise InputError(reader.where, " ".join(named), "channels that differ")
+        raise InputError(reader.where, " ".join(named), "each channel once")
     return named
 
 
@@ -238,12 +241,13 @@ def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
     if frame_time <= 0:
         raise InputError(reader.where, str(frame_time), "a frame time above 0")
     width = sum(map(len, skeleton.channels))
-    labels = [f"{name} {channel}" for name, own in zip(skeleton.names, skeleton.channels, strict=True) for channel in own]
+    labels = [f"{name} {channel}"
+              for name, own in zip(skeleton.names, skeleton.channels, strict=True) for channel in own]
     values = np.empty((int(count), width))
     for frame in range(int(count)):
         words = reader.rest(f"frame {frame + 1} of {count}").split()
         if len(words) != width:
-            raise InputError(reader.where, f"{len(words)} numbers", f"{width}, one a channel")
+            raise InputError(reader.where, f"{len(words)} numbers", f"{width}, one for each channel")
         values[frame] = _numbers(reader.where, words, labels, frame + 1)
     positions, rotations = _decode(skeleton, values)
     return Clip(
@@ -259,18 +263,18 @@ def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
 
 
 def _numbers(where: str, words: list[str], labels: list[str], frame: int) -> np.ndarray:
-    """A frame's numbers, one a channel; a refusal names the joint and the channel."""
+    """The numbers of a frame, one for each channel; an error names the joint and the channel."""
     row = np.full(len(words), np.nan)
     for i, word in enumerate(words):
         with contextlib.suppress(ValueError):
             row[i] = float(word)
         if not math.isfinite(row[i]):
-            raise InputError(where, f"{word!r} for {labels[i]} in frame {frame}", "a finite number a channel")
+            raise InputError(where, f"{word!r} for {labels[i]} in frame {frame}", "a finite number")
     return row
 
 
 def _decode(skeleton: _Skeleton, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Channel values (T, C) to local positions (T, J, 3) and rotations (T, J, 3, 3)."""
+    """Local positions (T, J, 3) and rotations (T, J, 3, 3) from the channels' values (T, C)."""
     count = len(values)
     positions = np.tile(np.array(skeleton.offsets), (count, 1, 1))
     rotations = np.tile(np.eye(3), (count, len(skeleton.names), 1, 1))

@@ -6,7 +6,8 @@ import numpy as np
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) unit normals: the mean of the normals of the triangles around each vertex, weighted by their areas.
+    """(V, 3) unit normals: the mean of the normals of the triangles around each vertex, weighted by their
+    areas.
 
     The normal is zero where a vertex has no triangle, or where those around it cancel out.
 
@@ -16,6 +17,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     doubled = np.repeat(np.cross(b - a, c - a), 3, axis=0)
-    total = np.stack([np.bincount(faces.ravel(), doubled[:, axis], len(vertices)) for axis in range(3)], axis=1)
+    total = np.stack([np.bincount(faces.ravel(), doubled[:, axis], len(vertices)) for axis in range(3)],
+                     axis=1)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0)

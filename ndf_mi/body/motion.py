@@ -1,4 +1,4 @@
-"""Playing a motion clip on a body: retargeting from a CMU-like BVH skeleton to a rig with the same joints."""
+"""Plays a motion clip on a body: retargets it from a CMU-like BVH skeleton to a rig with the same joints."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from scipy.spatial.transform import Rotation
 from ndf_mi.body.body import Body
 from ndf_mi.body.bvh import Clip, read_bvh
 from ndf_mi.body.poses import Poses
+from ndf_mi.body.skinning import skin
 from ndf_mi.errors import InputError
 
 ALIASES = {"LFingers": "LeftHandFinger1", "RFingers": "RightHandFinger1"}
-"""Joints that the CMU clips name otherwise than the ``cmu_mb`` rig."""
+"""Joints whose names in the CMU clips differ from those in the ``cmu_mb`` rig."""
 
 _LIMBS = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Arm", "ForeArm"), ("ForeArm", "Hand"), ("Hand", "HandFinger1"))
 AIMS = {f"{side}{bone}": f"{side}{tip}" for side in ("Left", "Right") for bone, tip in _LIMBS}
-"""The bones whose rest directions are aligned, from the joint to the one they aim at: the limbs, in which a T-pose
-differs from an A-pose. Trunk, head and clavicles are not: there, the two skeletons place their joints differently
-inside bodies that stand alike. Feet and fingers follow the bone above them."""
+"""The bones whose rest directions are aligned, from their joint to the joint at their end: the limbs, where a
+T-pose differs from an A-pose. Trunk, head and clavicles are not aligned, since two skeletons place their
+joints differently inside bodies that stand in the same way. Feet and fingers follow the bone above them."""
 
 LEGS = tuple(tuple(f"{side}{bone}" for bone in ("UpLeg", "Leg", "Foot")) for side in ("Left", "Right"))
-"""The joints from the head of each thigh down, by whose distances the path is scaled."""
+"""The joints of each leg from the hip down. The path is scaled by the ratio of the legs' lengths."""
 
 MOST_FRAMES = 200_000
-"""Frames of the longest motion, near two hours at 30 a second: more is a mistake in a file's times."""
+"""Frames of the longest motion, nearly two hours at 30 frames a second. More means wrong times in a file."""
 
 MOST_NAMES = 40
-"""Joints that a message names."""
+"""How many joints a message lists."""
 
 Place = Literal["world", "centre", "treadmill"]
 
@@ -54,10 +55,10 @@ def shipped_clips() -> tuple[str, ...]:
 
 
 def load_clip(name_or_path: str | os.PathLike[str]) -> Clip:
-    """A shipped clip by its name, or any BVH file by its path.
+    """A clip of the package by its name, or any BVH file by its path.
 
     Raises:
-        InputError: neither such a clip nor such a file, or the file is no BVH.
+        InputError: there is neither such a clip nor such a file, or the file is not BVH.
     """
     names = shipped_clips()
     if str(name_or_path) in names:
@@ -79,23 +80,24 @@ def retarget(
 ) -> Motion:
     """Plays ``clip`` on ``body``.
 
-    World rotations are carried over joint by joint, after the limbs' rest directions are aligned (`AIMS`). The path of
-    the hips is scaled by the ratio of the leg lengths, and lowered or raised as a whole until the lowest
-    point that the feet reach in the clip lies on y = 0.
+    World rotations are copied joint by joint, after the rest directions of the limbs are aligned (`AIMS`).
+    The path of the hips is scaled by the ratio of the leg lengths, and shifted vertically so that the lowest
+    point which the feet reach in the clip lies on y = 0.
 
-    Of a rig whose legs go by other names than `LEGS` nothing is aligned, so that body and clip must stand alike at rest; the path
-    is that of the root joint, scaled by the ratio of the lengths of all bones; and a rig without a Foot or ToeBase is put on
-    the ground by its lowest vertex.
+    A rig whose legs are not named as in `LEGS` is not aligned: body and clip must have the same rest pose.
+    Its path is that of the root joint, scaled by the ratio of the lengths of all bones. A rig without joints
+    named Foot or ToeBase is put on the ground by its lowest vertex.
 
     Args:
-        times: seconds after the clip's first frame; None for the clip's own frames.
+        times: seconds after the clip's first frame; by default those of the clip's frames.
         shape: (B,) shape coefficients; the joints follow them.
-        place: ``world`` keeps the clip's path, ``centre`` brings the middle of its horizontal extent to the origin,
-            ``treadmill`` takes out all horizontal movement of the hips, so that the body stays above the origin.
-        alike: joints that are turned alike in both rest poses, whatever the bone above them, such as feet flat on the ground.
+        place: ``world`` keeps the clip's path, ``centre`` moves the middle of its horizontal extent to the
+            origin, ``treadmill`` removes all horizontal movement of the hips, so that the body stays above
+            the origin.
+        alike: joints with the same orientation in both rest poses, such as feet flat on the ground.
 
     Raises:
-        InputError: joints of the body that the clip lacks, a body without a rig, or a time outside the clip.
+        InputError: the clip lacks joints of the body, the body has no rig, or a time is outside the clip.
     """
     joints, columns = shaped_joints(body, shape), _match(body, clip)
     align = _alignment(body, clip, joints, columns, alike)
@@ -123,19 +125,17 @@ def pose_sequence(
     shape: np.ndarray | Sequence[float] | None = None,
     place: Place = "world",
 ) -> Poses:
-    """`Poses` of ``body`` playing ``clip``, skinned: frame number f shows the clip at (f - first)/rate seconds.
+    """`Poses` of ``body`` playing ``clip``, skinned; frame f shows the clip at (f - first)/rate seconds.
 
     Args:
-        frames: frame numbers, ascending; None for all that the clip lasts.
+        frames: frame numbers, ascending; by default all of the clip.
         rate: frames a second.
-        first: the frame number at which the clip begins.
+        first: the frame number where the clip begins.
         shape, place: as in `retarget`.
 
     Raises:
-        InputError: as `retarget`; a frame outside the clip.
+        InputError: as `retarget`; or a frame is outside the clip.
     """
-    from ndf_mi.body.skinning import skin
-
     if frames is None:
         frames = first + np.arange(int(np.floor(clip.duration * rate + 1e-3)) + 1)
     frames = np.asarray(frames, dtype=np.int32)
@@ -147,31 +147,36 @@ def pose_sequence(
 
 
 def frame_times(duration: float, fps: float) -> np.ndarray:
-    """(T,): the seconds at which frames fall into a motion of ``duration`` seconds, the first at 0.
+    """(T,) the times of the frames in a motion of ``duration`` seconds, the first at 0.
 
     Raises:
         InputError: there would be more than `MOST_FRAMES`.
     """
     if not duration * fps < MOST_FRAMES:
-        raise InputError("motion", f"{duration:g} s at {fps:g} frames a second", f"at most {MOST_FRAMES:,} frames",
-                         "See to the times in the file, or give a smaller --fps.")
+        raise InputError("motion", f"{duration:g} s at {fps:g} frames a second",
+                         f"at most {MOST_FRAMES:,} frames",
+                         "Correct the times in the file, or use a smaller --fps.")
     return np.minimum(np.arange(int(np.floor(duration * fps + 1e-3)) + 1) / fps, duration)
 
 
-def require_finite(where: str, values: np.ndarray, names: Sequence[str], frames: Sequence[int] | np.ndarray | None = None) -> None:
-    """Raises InputError, naming the frame and the joint, unless all of ``values``, (T, J, 3) of the joints ``names``, are finite."""
+def require_finite(where: str, values: np.ndarray, names: Sequence[str],
+                   frames: Sequence[int] | np.ndarray | None = None) -> None:
+    """Raises InputError, naming frame and joint, unless all of ``values``, (T, J, 3) for joints ``names``,
+    are finite.
+    """
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         row, joint, axis = bad[0]
         frame = row if frames is None else frames[row]
-        raise InputError(where, f"{values[row, joint, axis]} at frame {frame}, joint {names[joint]}", "finite numbers")
+        raise InputError(where, f"{values[row, joint, axis]} at frame {frame}, joint {names[joint]}",
+                         "finite numbers")
 
 
 def shaped_joints(body: Body, shape: np.ndarray | Sequence[float] | None = None) -> np.ndarray:
-    """(J, 3) float64: the rest joints at a shape.
+    """(J, 3) float64 rest joints at a shape.
 
     Raises:
-        InputError: a body without a rig, or another number of coefficients.
+        InputError: the body has no rig, or another number of coefficients.
     """
     if not body.skinned:
         raise InputError("body", "no skinning model", "a body with joints, parents and weights")
@@ -180,24 +185,31 @@ def shaped_joints(body: Body, shape: np.ndarray | Sequence[float] | None = None)
         return joints
     if np.shape(shape) != (body.shape_count,):
         raise InputError("shape", f"shape {np.shape(shape)}", f"({body.shape_count},)")
-    return joints if body.joint_dirs is None else joints + body.joint_dirs.astype(np.float64) @ np.asarray(shape)
+    if body.joint_dirs is None:
+        return joints
+    return joints + body.joint_dirs.astype(np.float64) @ np.asarray(shape)
 
 
 def _match(body: Body, clip: Clip) -> list[int]:
-    """For each joint of the body, the clip's."""
+    """The clip's joint for each joint of the body."""
     named = {ALIASES.get(name, name): j for j, name in enumerate(clip.joint_names)}
     assert body.joint_names is not None
     missing = [name for name in body.joint_names if name not in named]
     if missing:
         spare = [name for name in clip.joint_names if ALIASES.get(name, name) not in body.joint_names]
         more = f" and {len(spare) - MOST_NAMES} more" if len(spare) > MOST_NAMES else ""
-        found = "no " + ", ".join(missing) + (f" (but {', '.join(spare[:MOST_NAMES])}{more})" if spare else "")
+        others = f" (but {', '.join(spare[:MOST_NAMES])}{more})" if spare else ""
+        found = f"no {', '.join(missing)}{others}"
         raise InputError(f"clip {clip.name}", found, "the joints of the body's rig")
     return [named[name] for name in body.joint_names]
 
 
-def _alignment(body: Body, clip: Clip, joints: np.ndarray, columns: list[int], alike: Collection[str]) -> np.ndarray:
-    """(J, 3, 3): turns the body's rest pose into the clip's, limb by limb; each joint continues its parent's turn."""
+def _alignment(
+    body: Body, clip: Clip, joints: np.ndarray, columns: list[int], alike: Collection[str]
+) -> np.ndarray:
+    """(J, 3, 3) rotations from the body's rest pose to the clip's, limb by limb; each joint inherits its
+    parent's.
+    """
     rest = np.zeros((len(clip.parents), 3))
     for j, p in enumerate(clip.parents):
         rest[j] = clip.offsets[j] + (rest[p] if p >= 0 else 0)
@@ -214,7 +226,9 @@ def _alignment(body: Body, clip: Clip, joints: np.ndarray, columns: list[int], a
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The smallest rotation that turns ``a`` to ``b``'s direction; the identity where either has no length."""
+    """The smallest rotation that turns ``a`` to the direction of ``b``; the identity if either has no
+    length.
+    """
     lengths = np.linalg.norm(a) * np.linalg.norm(b)
     axis = np.cross(a, b)
     sine = np.linalg.norm(axis)
@@ -224,7 +238,7 @@ def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _play(body: Body, clip: Clip, joints: np.ndarray, columns: list[int], align: np.ndarray) -> Motion:
-    """Rotations and the hips' path, not yet grounded."""
+    """Rotations and the path of the hips, before the body is put on the ground."""
     rotations, positions = clip.forward()
     world = rotations[:, columns] @ align
     local = world.copy()
@@ -235,7 +249,7 @@ def _play(body: Body, clip: Clip, joints: np.ndarray, columns: list[int], align:
     pose[:, 0] = 0
     have, want = (_length(_bones(body), at) for at in (joints, positions[0, columns]))
     if not want > 0:
-        raise InputError(f"clip {clip.name}", "bones without any length", "offsets between the joints")
+        raise InputError(f"clip {clip.name}", "bones of no length", "offsets between the joints")
     centre = positions[:, [columns[j] for j in _hips(body)]].mean(1) * (have / want)
     still = Motion(pose, Rotation.from_matrix(world[:, 0]).as_rotvec(), np.zeros((len(clip), 3)))
     path = centre - _hip_centre(body, still, joints)
@@ -243,7 +257,7 @@ def _play(body: Body, clip: Clip, joints: np.ndarray, columns: list[int], align:
 
 
 def _forward(body: Body, motion: Motion, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The body's joints in the world: rotations (T, J, 3, 3) and positions (T, J, 3), float64."""
+    """World rotations (T, J, 3, 3) and positions (T, J, 3) of the body's joints, float64."""
     count = len(motion.pose)
     local = Rotation.from_rotvec(motion.pose.reshape(-1, 3)).as_matrix().reshape(count, -1, 3, 3)
     root = Rotation.from_rotvec(motion.root_rotation).as_matrix()
@@ -259,37 +273,40 @@ def _forward(body: Body, motion: Motion, joints: np.ndarray) -> tuple[np.ndarray
 
 
 def _hip_centre(body: Body, motion: Motion, joints: np.ndarray) -> np.ndarray:
-    """(T, 3): midway between the heads of the thighs, or the root joint (`_hips`)."""
+    """(T, 3): the middle between the hip joints, or the root joint (`_hips`)."""
     return _forward(body, motion, joints)[1][:, _hips(body)].mean(1)
 
 
 def _legs(body: Body) -> list[list[int]]:
-    """The joints of `LEGS`, leg by leg; none where the rig lacks one of them."""
+    """The joints of `LEGS`, leg by leg; none if the rig lacks one of them."""
     names = list(body.joint_names or ())
     known = all(name in names for leg in LEGS for name in leg)
     return [[names.index(name) for name in leg] for leg in LEGS] if known else []
 
 
 def _hips(body: Body) -> list[int]:
-    """The joints whose middle stands for the body's place: the heads of the thighs, else the root."""
+    """The joints whose middle is the body's position: the hip joints, or else the root."""
     return [leg[0] for leg in _legs(body)] or [0]
 
 
 def _bones(body: Body) -> list[tuple[int, int]]:
-    """The pairs of joints whose distances tell the body's size: along the legs, else all bones."""
+    """The pairs of joints whose distances give the body's size: along the legs, or else all bones."""
     legs = _legs(body)
     parents = enumerate(body.parents.tolist())  # type: ignore[union-attr]
-    return [pair for leg in legs for pair in zip(leg, leg[1:], strict=False)] or [(p, j) for j, p in parents if p >= 0]
+    along_legs = [pair for leg in legs for pair in zip(leg, leg[1:], strict=False)]
+    return along_legs or [(p, j) for j, p in parents if p >= 0]
 
 
 def _length(bones: Sequence[tuple[int, int]], at: np.ndarray) -> float:
-    """The bones' lengths added up, for joints at ``at``, (J, 3)."""
+    """The sum of the lengths of bones, for joints at ``at``, (J, 3)."""
     return float(sum(np.linalg.norm(at[a] - at[b]) for a, b in bones))
 
 
-def _lowest(body: Body, motion: Motion, joints: np.ndarray, shape: np.ndarray | Sequence[float] | None) -> np.ndarray:
-    """(T,): the height of the lowest point of the feet, or of the body where no joint is called so; each vertex is carried by its
-    heaviest joint."""
+def _lowest(
+    body: Body, motion: Motion, joints: np.ndarray, shape: np.ndarray | Sequence[float] | None
+) -> np.ndarray:
+    """(T,) the height of the lowest point of the feet, or of the whole body if no joint has such a name. Each
+    vertex moves with the joint of its largest weight."""
     assert body.template is not None and body.weights is not None
     rest = body.template.astype(np.float64)
     if shape is not None and body.shape_dirs is not None:
@@ -297,7 +314,8 @@ def _lowest(body: Body, motion: Motion, joints: np.ndarray, shape: np.ndarray | 
     turns, at = _forward(body, motion, joints)
     owner = body.weights.argmax(1)
     low = np.full(len(at), np.inf)
-    feet = [j for j, name in enumerate(body.joint_names or ()) if name.endswith(("Foot", "ToeBase")) and (owner == j).any()]
+    feet = [j for j, name in enumerate(body.joint_names or ())
+            if name.endswith(("Foot", "ToeBase")) and (owner == j).any()]
     for j in feet or np.unique(owner).tolist():
         held = rest[owner == j] - joints[j]
         low = np.minimum(low, (turns[:, j, 1] @ held.T).min(1) + at[:, j, 1])

@@ -1,7 +1,9 @@
-"""Motion in AMASS's layout: ``poses`` as SMPL, SMPL-H or SMPL-X have them, ``trans``, a frame rate and, optionally, ``betas``.
+"""Motion in AMASS's layout: ``poses`` of SMPL, SMPL-H or SMPL-X, ``trans``, a frame rate and optionally
+``betas``.
 
-The world's vertical is z, as in AMASS, or y; it becomes y. SMPL turns the body about its root joint, R·(X - J_0) + J_0 + trans, with
-`R` the first three of ``poses`` (Loper et al. 2015); what is made of it here turns about the world's origin, as everywhere.
+The file's vertical is z, as in AMASS, or y; it becomes y. SMPL turns the body about its root joint, R·(X -
+J_0) + J_0 + trans, where R comes from the first three numbers of ``poses`` (Loper et al. 2015). Here the body
+turns about the world's origin.
 """
 
 from __future__ import annotations
@@ -29,15 +31,17 @@ _LEGS = tuple(tuple(f"{side}_{joint}" for joint in ("hip", "knee", "ankle")) for
 def play_amass(
     body: Body, path: str | os.PathLike[str], fps: float, *, shape: np.ndarray | None = None, up: Up = "z"
 ) -> Motion:
-    """The motion of an AMASS-like file on a body, ``fps`` frames a second.
+    """Plays the motion of an AMASS-like file on a body, at ``fps`` frames a second.
 
-    A body with SMPL's joints gets the file's rotations joint by joint, zero where the file has none (hands), and the path of its root
-    joint, times the ratio of the leg lengths where both the file's ``betas`` and ``joint_dirs`` of the body are known. Any other body
-    is taken for one with the ``cmu_mb`` rig and retargeted to, by the joints' table in `ndf_mi.body.motion_smpl`.
+    A body with SMPL's joints gets the file's rotations joint by joint (zero for joints that the file lacks,
+    such as hands) and the path of the file's root joint, scaled by the ratio of the leg lengths if the file
+    has ``betas`` and the body ``joint_dirs``. For any other body, which must have the ``cmu_mb`` rig, the
+    motion is retargeted with the table of joints in `ndf_mi.body.motion_smpl`.
 
     Raises:
-        InputError: naming the file and key: a missing array, another number of joints or frames, no frame, a number that is not finite
-            (with frame and joint), no frame rate; or joints of the body that the motion lacks.
+        InputError: an array is missing, has another number of joints or frames, no frame, or numbers that are
+            not finite (with frame and joint); the frame rate is missing; or the motion lacks joints of the
+            body.
     """
     clip, betas = read_amass(path, up)
     times = frame_times(clip.duration, fps)
@@ -64,8 +68,8 @@ def play_amass(
 
 
 def read_amass(path: str | os.PathLike[str], up: Up = "z") -> tuple[Clip, np.ndarray | None]:
-    """The file as a clip of SMPL's joints, y up, and its ``betas``. The root's positions are ``trans``, without its place at rest; other
-    offsets are zero, since the file does not tell them.
+    """The file as a clip of SMPL's joints, y up, and its ``betas``. The positions of the root are ``trans``,
+    without its rest position; the offsets of other joints, which the file does not have, are zero.
 
     Raises:
         InputError: see `play_amass`.
@@ -77,12 +81,14 @@ def read_amass(path: str | os.PathLike[str], up: Up = "z") -> tuple[Clip, np.nda
     width = int(np.prod(poses.shape[1:]))
     if poses.dtype.kind not in "fiu" or poses.ndim < 2 or width % 3 or width // 3 not in LAYOUTS:
         kinds = ", ".join(str(3 * n) for n in LAYOUTS)
-        raise InputError(f"{path}: poses", f"type {poses.dtype}, shape {poses.shape}", f"numbers of shape (T, one of {kinds})")
+        raise InputError(f"{path}: poses", f"type {poses.dtype}, shape {poses.shape}",
+                         f"numbers of shape (T, one of {kinds})")
     count, names = len(poses), LAYOUTS[width // 3]
     if count == 0:
         raise InputError(f"{path}: poses", "no frame", "at least one")
     if trans.dtype.kind not in "fiu" or trans.shape != (count, 3):
-        raise InputError(f"{path}: trans", f"type {trans.dtype}, shape {trans.shape}", f"numbers of shape ({count}, 3), as poses has")
+        raise InputError(f"{path}: trans", f"type {trans.dtype}, shape {trans.shape}",
+                         f"numbers of shape ({count}, 3), as many as poses")
     poses = poses.reshape(count, -1, 3).astype(np.float64)
     require_finite(f"{path}: poses", poses, names)
     require_finite(f"{path}: trans", trans[:, None].astype(np.float64), names)
@@ -102,9 +108,9 @@ def _rate(path: Path, found: dict[str, np.ndarray]) -> float:
         if key in found:
             value = found[key]
             if value.dtype.kind not in "fiu" or value.size != 1 or not 0 < float(value.reshape(())) < np.inf:
-                raise InputError(f"{path}: {key}", f"{value!r}", "one number above 0, frames a second")
+                raise InputError(f"{path}: {key}", f"{value!r}", "one number above 0, in frames a second")
             return float(value.reshape(()))
-    raise InputError(f"{path}: {RATES[0]}", "no frame rate", f"frames a second, as {' or '.join(RATES)}")
+    raise InputError(f"{path}: {RATES[0]}", "no frame rate", f"frames a second, in {' or '.join(RATES)}")
 
 
 def _upright(up: Up) -> np.ndarray:
@@ -113,4 +119,5 @@ def _upright(up: Up) -> np.ndarray:
 
 def _legs(names: tuple[str, ...], joints: np.ndarray) -> float:
     at = {name: joint for name, joint in zip(names, joints, strict=True)}
-    return float(sum(np.linalg.norm(at[a] - at[b]) for leg in _LEGS for a, b in zip(leg, leg[1:], strict=False)))
+    return float(sum(np.linalg.norm(at[a] - at[b])
+                     for leg in _LEGS for a, b in zip(leg, leg[1:], strict=False)))

@@ -1,4 +1,4 @@
-"""Any motion file on a run's body: BVH, AMASS-like ``.npz``, a capture's ``poses.npz``, JSON keyframes. See docs/animation.md."""
+"""Plays any motion file on a body: BVH, AMASS-like ``.npz``, a capture's ``poses.npz``, JSON keyframes."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from ndf_mi.body.motion_amass import Up, play_amass
 from ndf_mi.body.motion_json import play_json
 from ndf_mi.body.motion_smpl import as_cmu_rig
 from ndf_mi.body.poses import Poses
+from ndf_mi.body.skinning import skin
 from ndf_mi.errors import InputError
 
 DEFAULT_FPS = 30.0
@@ -32,14 +33,14 @@ DEFAULT_FPS = 30.0
 
 @dataclass(frozen=True, eq=False)
 class Performance:
-    """A motion on a body, frame by frame.
+    """A motion played on a body.
 
     Attributes:
-        body: whose motion it is.
+        body: the body that moves.
         motion: T poses.
         fps: frames a second.
         shape: (B,) shape coefficients, or None for the template.
-        stored: (T, V, 3) float32 posed vertices where the file brings them and they are of this body and shape, else None.
+        stored: (T, V, 3) float32 posed vertices, if the file has them for this body and shape; else None.
     """
 
     body: Body
@@ -55,10 +56,9 @@ class Performance:
         """(V, 3) float32: the posed body in the world, metres."""
         if self.stored is not None:
             return self.stored[frame]
-        from ndf_mi.body.skinning import skin
-
         motion = self.motion
-        flat = skin(self.body, motion.pose[frame], motion.root_rotation[frame], motion.translation[frame], self.shape)
+        flat = skin(self.body, motion.pose[frame], motion.root_rotation[frame], motion.translation[frame],
+                    self.shape)
         return flat.numpy().reshape(-1, 3)
 
 
@@ -72,25 +72,29 @@ def read_performance(
     place: Place = "world",
     up: Up | None = None,
 ) -> Performance:
-    """Reads a motion, or takes a clip that comes with the package by its name, and plays it on a body.
+    """Reads a motion file, or a clip of the package by its name, and plays it on a body.
 
     Args:
-        source: a file or a clip's name.
-        body: a run's body.
-        poses: the run's poses, for the performer's shape and, of a body without a model, the numbers of vertices and joints.
-        shape: (B,) coefficients in place of the performer's.
-        fps: frames a second; by default a JSON file's own, else 30. Rows of a ``poses.npz`` are played one a frame.
-        place: as in `ndf_mi.body.motion.retarget`, about the root joint: ``centre`` and ``treadmill`` move the body over the origin.
-        up: the vertical of an AMASS-like file, z by default; of no other file.
+        source: a file or the name of a clip.
+        body: the body of a run.
+        poses: the run's poses, for the performer's shape and, if the body has no model, its numbers of
+            vertices and joints.
+        shape: (B,) coefficients instead of the performer's.
+        fps: frames a second; by default those of a JSON file, or 30. Each row of a ``poses.npz`` is one
+            frame.
+        place: as in `ndf_mi.body.motion.retarget`, for the root joint: ``centre`` and ``treadmill`` move the
+            body over the origin.
+        up: the vertical of an AMASS-like file, by default z; other files have none to choose.
 
     Raises:
-        InputError: see the readers; a kind of file that is not known; an option that the file has no use for.
+        InputError: the file is of an unknown kind or has an error (see the readers), or an option does not
+            apply to it.
     """
     own = poses.shape if shape is None else shape
     rate = DEFAULT_FPS if fps is None else fps
     kind = _kind(source)
     if up is not None and kind != "amass":
-        raise InputError("up", up, "it with an AMASS-like file only: other motions have y up")
+        raise InputError("up", up, "an AMASS-like file; in all other motions y is up")
     stored = None
     if kind == "bvh":
         clip = load_clip(source)
@@ -117,14 +121,15 @@ def _kind(source: str | os.PathLike[str]) -> str:
         found = arrays.read_npz(source, (), ("poses", "pose"))
         if found:
             return "amass" if "poses" in found else "poses"
-        raise InputError(source, "neither poses nor pose among its arrays", "AMASS's poses and trans, or a capture's poses.npz")
+        raise InputError(source, "neither poses nor pose among its arrays",
+                         "AMASS's poses and trans, or a capture's poses.npz")
     raise InputError(source, f"the ending {suffix!r}", "a motion: .bvh, .npz or .json")
 
 
 def _play_poses(
     path: Path, body: Body, reference: Poses, shape: np.ndarray | None, keep: bool
 ) -> tuple[Motion, np.ndarray | None]:
-    """A capture's ``poses.npz``: the rows as they are and, where they are of this very body, the file's vertices."""
+    """The rows of a capture's ``poses.npz`` and, if they belong to this very body, its vertices."""
     keys = ("frames", "pose", "root_rotation", "translation")
     found = arrays.read_npz(path, (*keys, "vertices"), ("shape",))
     theirs = Body.read(path.with_name("body.npz")) if path.with_name("body.npz").is_file() else None
@@ -141,29 +146,36 @@ def _play_poses(
         return motion, poses.vertices
     if not body.skinned:
         found_count, count = poses.vertices.shape[1], reference.vertices.shape[1]
-        raise InputError(f"{path}: vertices", f"{found_count} of another body", f"{count} of the run's, which has no model to pose it by")
+        raise InputError(f"{path}: vertices", f"{found_count} of another body",
+                         f"{count} of the run's body, which has no model to pose it")
     return motion, None
 
 
 def _check_joints(path: Path, pose: np.ndarray, body: Body, reference: Poses, theirs: Body | None) -> None:
     count = reference.pose.shape[1]
-    if theirs is not None and theirs.joint_names and body.joint_names and theirs.joint_names != body.joint_names:
-        missing = [name for name in body.joint_names if name not in theirs.joint_names]
-        spare = [name for name in theirs.joint_names if name not in body.joint_names]
-        wrong = (f"no {', '.join(missing)}" if missing else "joints in another order") + (f" (but {', '.join(spare)})" if spare else "")
-        raise InputError(f"{path}: pose", f"{wrong}, by the body beside it", "the joints of the run's body")
+    own, other = body.joint_names, theirs.joint_names if theirs is not None else None
+    if own and other and own != other:
+        missing = [name for name in own if name not in other]
+        spare = [name for name in other if name not in own]
+        wrong = f"no {', '.join(missing)}" if missing else "joints in another order"
+        wrong += f" (but {', '.join(spare)})" if spare else ""
+        raise InputError(f"{path}: pose", f"{wrong}, according to body.npz", "the joints of the run's body")
     if pose.ndim != 3 or pose.shape[1:] != (count, 3) or pose.dtype.kind != "f":
         names = f": {', '.join(body.joint_names)}" if body.joint_names else ""
-        raise InputError(f"{path}: pose", f"type {pose.dtype}, shape {pose.shape}", f"(T, {count}, 3), the run's joints{names}")
+        raise InputError(f"{path}: pose", f"type {pose.dtype}, shape {pose.shape}",
+                         f"(T, {count}, 3), the run's joints{names}")
 
 
 def _same_body(poses: Poses, reference: Poses, body: Body, theirs: Body | None) -> bool:
-    """Whether vertices of ``poses`` are the run's: as many, of the same shape, and of the same template where one lies beside them."""
+    """Whether the vertices of ``poses`` are those of the run's body: as many, of the same shape and, if
+    known, template.
+    """
     if poses.vertices.shape[1] != reference.vertices.shape[1]:
         return False
     if not _equal(poses.shape, reference.shape):
         return False
-    return theirs is None or (_equal(theirs.template, body.template) and np.array_equal(theirs.faces, body.faces))
+    return theirs is None or (_equal(theirs.template, body.template) and np.array_equal(theirs.faces,
+                                                                                        body.faces))
 
 
 def _equal(a: np.ndarray | None, b: np.ndarray | None) -> bool:
@@ -171,7 +183,7 @@ def _equal(a: np.ndarray | None, b: np.ndarray | None) -> bool:
 
 
 def _placed(performance: Performance, place: Place) -> Performance:
-    """The performance moved over the origin as ``place`` says."""
+    """The performance moved over the origin, according to ``place``."""
     if place == "world":
         return performance
     motion = performance.motion

@@ -1,16 +1,18 @@
-"""Motion written by hand: JSON keyframes of single joints, with spherical linear interpolation between them.
+"""Motion written by hand: JSON keyframes of single joints, interpolated spherically.
 
 ::
 
     {"fps": 30,
      "frames": [{"time": 0, "joints": {"left_elbow": [0, 0, 0]}},
-                {"time": 1, "joints": {"left_elbow": [0, -90, 0]}, "root": [0, 45, 0], "translation": [0, 0, 0.5]}]}
+                {"time": 1, "joints": {"left_elbow": [0, -90, 0]}, "root": [0, 45, 0], "translation": [0, 0,
+                0.5]}]}
 
-Rotations are axis-angle in degrees relative to the parent, about the axes that the world has for the body at rest: x to its left, y up,
-z ahead. ``root`` turns the whole body about its root joint and ``translation``, metres, moves it from where it stands at rest. Each
-joint has keyframes of its own, those that name it: before the first and after the last it keeps still, and a joint that is never named
-stays at rest. Between two keyframes a joint takes the shorter way, so that turns of more than 180° need one between. Joints go by the
-body's names or, where the rig is ``cmu_mb``, also by SMPL's.
+Rotations are axis-angle in degrees relative to the parent, about the world's axes for the body at rest: x to
+its left, y up, z ahead. ``root`` turns the whole body about its root joint, and ``translation``, metres,
+moves it from its rest position. Each joint has its own keyframes, those that name it: before the first and
+after the last it keeps still, and a joint without any stays at rest. Between two keyframes a joint takes the
+shorter way: turns of more than 180° need a keyframe in between. Joints have the body's names or, with the
+``cmu_mb`` rig, also SMPL's.
 """
 
 from __future__ import annotations
@@ -31,17 +33,18 @@ from ndf_mi.json_input import load_json, number, shown
 
 _KEYS = ("time", "joints", "root", "translation")
 Track = tuple[list[float], list[np.ndarray]]
-"""Times in seconds and three numbers at each."""
+"""Times in seconds, and three numbers at each."""
 
 
 def play_json(
     body: Body, path: str | os.PathLike[str], fps: float | None = None, *, shape: np.ndarray | None = None
 ) -> tuple[Motion, float]:
-    """The keyframes of a file on a body, and the frames a second: ``fps``, else the file's own, else 30.
+    """Plays the keyframes of a file on a body; also returns the frames a second: ``fps``, or the file's own,
+    or 30.
 
     Raises:
-        InputError: naming the file and key: no JSON, another key, a joint that the body lacks, times that do not ascend, no frame, or
-            anything but three finite numbers.
+        InputError: the file is not JSON, or has an unknown key, a joint that the body lacks, times that do
+            not ascend, no keyframe, or something else than three finite numbers.
     """
     path = Path(path)
     document = _load(path)
@@ -61,7 +64,8 @@ def play_json(
     turns = _turns(root, times)
     path_of_root = _moves(translation, times)
     origin = joints[0] - turns.apply(joints[0]) + path_of_root
-    return Motion(pose.astype(np.float32), turns.as_rotvec().astype(np.float32), origin.astype(np.float32)), fps
+    rotation = turns.as_rotvec().astype(np.float32)
+    return Motion(pose.astype(np.float32), rotation, origin.astype(np.float32)), fps
 
 
 def _load(path: Path) -> dict[str, Any]:
@@ -70,14 +74,16 @@ def _load(path: Path) -> dict[str, Any]:
     except (FileNotFoundError, ValueError) as error:
         raise InputError(path, f"a file that cannot be read as JSON ({error})", "keyframes in JSON") from None
     if not isinstance(document, dict):
-        raise InputError(path, f"a {type(document).__name__}", 'an object such as {"fps": 30, "frames": [...]}')
+        raise InputError(path, f"a {type(document).__name__}",
+                         'an object such as {"fps": 30, "frames": [...]}')
     return document
 
 
 def _indices(body: Body) -> dict[str, int]:
-    """The joints but the root, by their own names and by SMPL's."""
+    """All joints but the root, by their own names and by SMPL's."""
     own = body.joint_names or ()
-    names = {name: j for j, name in enumerate(smpl_names(body) or [COUNTERPARTS.get(name, name) for name in own])}
+    names = {name: j
+             for j, name in enumerate(smpl_names(body) or [COUNTERPARTS.get(name, name) for name in own])}
     names |= {name: j for j, name in enumerate(own)}
     return {name: j for name, j in names.items() if j > 0}
 
@@ -96,14 +102,15 @@ def _tracks(path: Path, frames: list[Any], indices: dict[str, int]) -> tuple[dic
                 raise InputError(f"{where}.{key}", "a key of that name", f"{', '.join(_KEYS)} only")
         time = number(frame.get("time"), f"{where}.time")
         if time < 0 or time <= before:
-            raise InputError(f"{where}.time", f"{time:g}", "seconds from 0 on, each more than the one before")
+            raise InputError(f"{where}.time", f"{time:g}", "seconds, 0 or more, in ascending order")
         before = time
         joints = frame.get("joints", {})
         if not isinstance(joints, dict):
             raise InputError(f"{where}.joints", f"a {type(joints).__name__}", "an object of joints")
         for name, value in joints.items():
             if name not in indices:
-                raise InputError(f"{where}.joints", f"the joint {name!r}", f"joints of the body but its root: {', '.join(indices)}")
+                raise InputError(f"{where}.joints", f"the joint {name!r}",
+                                 f"a joint of the body other than its root: {', '.join(indices)}")
             _add(rotations.setdefault(indices[name], ([], [])), time, value, f"{where}.joints.{name}")
         for key, track in (("root", root), ("translation", translation)):
             if key in frame:
@@ -115,7 +122,7 @@ def _add(track: Track, time: float, value: Any, where: str) -> None:
     if not isinstance(value, list) or len(value) != 3:
         raise InputError(where, shown(value), "three numbers")
     if track[0] and track[0][-1] == time:
-        raise InputError(where, "the joint under two of its names", "it once a keyframe")
+        raise InputError(where, "the same joint under two names", "each joint once in a keyframe")
     track[0].append(time)
     track[1].append(np.array([number(v, where) for v in value]))
 

@@ -1,4 +1,5 @@
-"""SMPL's joints: their names and tree, a skeleton that stands as SMPL's template does, and the ``cmu_mb`` rig's joints by those names.
+"""SMPL's joints: names, tree and a skeleton in the template's rest pose, and their counterparts in the
+``cmu_mb`` rig.
 
 =============================================  ===============================================
 joint of the ``cmu_mb`` rig                    joint of SMPL
@@ -23,49 +24,51 @@ import numpy as np
 from ndf_mi.body.body import Body
 from ndf_mi.body.bvh import Clip
 
-BODY = ("pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
-        "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder", "left_elbow",
-        "right_elbow", "left_wrist", "right_wrist")  # fmt: skip
-"""The 22 joints that SMPL, SMPL-H and SMPL-X have in common, in their order."""
+BODY = ("pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle",
+        "right_ankle", "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head",
+        "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist")
+"""The 22 joints that SMPL, SMPL-H and SMPL-X share, in their order."""
 
 _BODY_PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
-_FINGERS = tuple(f"{finger}{i}" for finger in ("index", "middle", "pinky", "ring", "thumb") for i in (1, 2, 3))
-_HANDS = tuple(f"{side}_{finger}" for side in ("left", "right") for finger in _FINGERS)
+_HANDS = tuple(f"{side}_{finger}{i}" for side in ("left", "right")
+               for finger in ("index", "middle", "pinky", "ring", "thumb") for i in (1, 2, 3))
 _FACE = ("jaw", "left_eye_smplhf", "right_eye_smplhf")
 LAYOUTS = {22: BODY, 24: (*BODY, "left_hand", "right_hand"), 52: BODY + _HANDS, 55: BODY + _FACE + _HANDS}
-"""Names of the joints by how many they are: the body alone, SMPL, SMPL-H, SMPL-X."""
+"""Joint names by their number: the body alone, SMPL, SMPL-H, SMPL-X."""
 
-#: Rest positions in metres, left side and middle, rounded to centimetres by hand: a T-pose, feet flat on the ground. Only directions of
-#: limbs and the length of the legs enter the retargeting.
+#: Rest positions in metres of the left side and the middle, rounded to centimetres: a T-pose, feet flat on
+#: the ground. Retargeting uses only the directions of the limbs and the lengths of the legs.
 _REST = {
     "pelvis": (0.00, -0.22, 0.03), "left_hip": (0.07, -0.31, 0.02), "left_knee": (0.10, -0.69, 0.02),
     "left_ankle": (0.09, -1.09, -0.03), "left_foot": (0.12, -1.15, 0.09), "spine1": (0.00, -0.11, 0.00),
-    "spine2": (0.00, 0.02, 0.00), "spine3": (0.00, 0.07, 0.03), "neck": (0.00, 0.29, -0.01), "head": (0.00, 0.35, 0.04),
-    "left_collar": (0.08, 0.19, -0.01), "left_shoulder": (0.17, 0.22, -0.02), "left_elbow": (0.43, 0.21, -0.04),
-    "left_wrist": (0.68, 0.22, -0.04), "left_hand": (0.76, 0.21, -0.06),
+    "spine2": (0.00, 0.02, 0.00), "spine3": (0.00, 0.07, 0.03), "neck": (0.00, 0.29, -0.01),
+    "head": (0.00, 0.35, 0.04), "left_collar": (0.08, 0.19, -0.01), "left_shoulder": (0.17, 0.22, -0.02),
+    "left_elbow": (0.43, 0.21, -0.04), "left_wrist": (0.68, 0.22, -0.04), "left_hand": (0.76, 0.21, -0.06),
 }  # fmt: skip
 
 _LEG = {"UpLeg": "hip", "Leg": "knee", "Foot": "ankle", "ToeBase": "foot"}
 _ARM = {"Shoulder": "collar", "Arm": "shoulder", "ForeArm": "elbow", "Hand": "wrist", "FingerBase": "hand"}
 _SIDES = (("Left", "left"), ("Right", "right"))
-COUNTERPARTS = {"Hips": "pelvis", "LowerBack": "spine1", "Spine": "spine2", "Spine1": "spine3", "Neck": "neck", "Head": "head"} | {
+COUNTERPARTS = {"Hips": "pelvis", "LowerBack": "spine1", "Spine": "spine2", "Spine1": "spine3",
+                "Neck": "neck", "Head": "head"} | {
     f"{cmu}{bone}": f"{smpl}_{joint}" for cmu, smpl in _SIDES for bone, joint in (_LEG | _ARM).items()
 }
-"""The joint of SMPL for each joint of the ``cmu_mb`` rig that has one."""
+"""SMPL's joint for each joint of the ``cmu_mb`` rig that has a counterpart."""
 
-#: The rig as chains from a joint down; `_chains` gives both sides.
+#: The rig as chains of joints from the hips outwards.
 _CHAINS: tuple[tuple[str, ...], ...] = (
     ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head"),
     *(chain for side in ("Left", "Right") for chain in (
         ("Hips", f"{side[0]}HipJoint", f"{side}UpLeg", f"{side}Leg", f"{side}Foot", f"{side}ToeBase"),
-        ("Spine1", f"{side}Shoulder", f"{side}Arm", f"{side}ForeArm", f"{side}Hand", f"{side}FingerBase", f"{side}HandFinger1"),
+        ("Spine1", f"{side}Shoulder", f"{side}Arm", f"{side}ForeArm", f"{side}Hand", f"{side}FingerBase",
+         f"{side}HandFinger1"),
         (f"{side}Hand", f"{side[0]}Thumb"),
     )),
 )  # fmt: skip
 
 
 def parents(names: tuple[str, ...]) -> np.ndarray:
-    """(J,) int32: the parent of each joint of one of the `LAYOUTS`."""
+    """(J,) int32 parents of the joints of one of the `LAYOUTS`."""
     out = list(_BODY_PARENTS)
     for name in names[len(BODY) :]:
         if name in _FACE:
@@ -78,9 +81,11 @@ def parents(names: tuple[str, ...]) -> np.ndarray:
 
 
 def smpl_names(body: Body) -> tuple[str, ...] | None:
-    """SMPL's names of a body's joints: its own where all are SMPL's, else by number where the tree is SMPL's; None for another rig."""
+    """SMPL's names for the joints of a body: its own names if all are SMPL's, or else by their number if the
+    tree is SMPL's; None for another rig."""
     own = body.joint_names
-    if own is not None and own[0] == "pelvis" and set(own) <= {name for layout in LAYOUTS.values() for name in layout}:
+    known = {name for layout in LAYOUTS.values() for name in layout}
+    if own is not None and own[0] == "pelvis" and set(own) <= known:
         return own
     names = LAYOUTS.get(body.joint_count)
     if names is not None and body.parents is not None and np.array_equal(body.parents, parents(names)):
@@ -89,10 +94,11 @@ def smpl_names(body: Body) -> tuple[str, ...] | None:
 
 
 def as_cmu_rig(body: Body, clip: Clip) -> tuple[Body, Clip]:
-    """An SMPL body, and a clip for it, with their joints called as the ``cmu_mb`` rig's; any other body and its clip as they are.
+    """An SMPL body and a clip for it, with the joint names of the ``cmu_mb`` rig; any other body and its clip
+    unchanged.
 
-    Where the clip has all of the body's joints by the body's own names, its joints are renamed as the body's are; otherwise the
-    clip's names are the rig's already.
+    If the clip has all of the body's joints under the body's own names, they are renamed too; otherwise the
+    clip has the rig's names already.
     """
     names = smpl_names(body)
     if names is None:
@@ -106,8 +112,8 @@ def as_cmu_rig(body: Body, clip: Clip) -> tuple[Body, Clip]:
 
 
 def cmu_clip(clip: Clip) -> Clip:
-    """A clip of SMPL's joints as one of the ``cmu_mb`` rig's 31: joints without a counterpart keep still relative to their parents, and
-    the skeleton at rest is a T-pose. The root's path is kept."""
+    """A clip of SMPL's joints as one of the 31 joints of the ``cmu_mb`` rig, with a T-pose at rest. Joints
+    without a counterpart keep still relative to their parents. The path of the root is unchanged."""
     above: dict[str, str] = {}
     names = ["Hips"]
     for chain in _CHAINS:
@@ -128,7 +134,9 @@ def cmu_clip(clip: Clip) -> Clip:
 
 
 def _rest_positions(names: list[str], above: dict[str, str]) -> dict[str, np.ndarray]:
-    """Where the rig's joints are in the skeleton at rest; one without a counterpart is at its parent's place, a finger beyond the hand."""
+    """Rest positions of the rig's joints. A joint without a counterpart is where its parent is, a finger
+    beyond the hand.
+    """
     rest: dict[str, np.ndarray] = {}
     for name in names:
         joint = COUNTERPARTS.get(name)

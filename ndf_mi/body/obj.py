@@ -14,7 +14,9 @@ Corner = tuple[int, int]
 
 @dataclass(frozen=True)
 class Group:
-    """The triangles of a ``g`` group: (F, 3) indices of vertices and, corner by corner, (F, 3) of texture coordinates."""
+    """The triangles of a ``g`` group: (F, 3) indices of vertices and, corner by corner, (F, 3) of texture
+    coordinates.
+    """
 
     faces: np.ndarray
     uv_faces: np.ndarray
@@ -23,8 +25,8 @@ class Group:
 def read_obj(path: str | os.PathLike[str]) -> tuple[np.ndarray, np.ndarray, dict[str, Group]]:
     """Vertices (V, 3) and texture coordinates (U, 2), float64, and the groups by name.
 
-    Every corner must have texture coordinates (``f v/vt …``); negative indices count back from the last vertex so far. Quads
-    are cut along their shorter diagonal. Groups of the same name are one group.
+    Every corner must have texture coordinates (``f v/vt …``); negative indices count back from the last
+    vertex so far. Quads are cut along their shorter diagonal. Groups of the same name are one group.
 
     Raises:
         OSError: the file cannot be read.
@@ -61,7 +63,8 @@ def _corner(word: str, vertices: int, uv: int) -> Corner:
     parts = word.split("/")
     if len(parts) < 2 or not parts[1]:
         raise ValueError(f"the corner {word!r} without texture coordinates")
-    v, vt = (index - 1 if (index := int(part)) > 0 else count + index for part, count in zip(parts, (vertices, uv), strict=False))
+    v, vt = (index - 1 if (index := int(part)) > 0 else count + index
+             for part, count in zip(parts, (vertices, uv), strict=False))
     if min(v, vt) < 0 or "0" in (parts[0], parts[1]):
         raise ValueError(f"the corner {word!r}, which names nothing before it")
     return v, vt

@@ -1,11 +1,13 @@
-"""Linear blend skinning in Dr.Jit, differentiable with respect to pose, root rotation, translation and shape.
+"""Linear blend skinning in Dr.Jit, with gradients of pose, root rotation, translation and shape.
 
-With rest joints J_j(β) and rest vertices T_i(β, θ) = T̄_i + B_S(β)_i + B_P(θ)_i (Loper et al. 2015, SMPL, eqs. 2-8):
+With rest joints J_j(β) and rest vertices T_i(β, θ) = T̄_i + B_S(β)_i + B_P(θ)_i (Loper et al. 2015, SMPL,
+eqs. 2-8):
 
-    G_j = G_parent(j) · [R(θ_j) | J_j - J_parent(j)],   X_i = Σ_j w_ij G_j · (T_i - J_j),   V_i = R(root)·X_i + t
+    G_j = G_parent(j) · [R(θ_j) | J_j - J_parent(j)],   X_i = Σ_j w_ij G_j · (T_i - J_j),   V_i = R(root)·X_i
+    + t
 
-R(root) turns about the world's origin (ZJU-MoCap's convention), not about the root joint. Limits: the gradient does not
-reach skinning weights or blend shapes.
+R(root) turns about the world's origin (ZJU-MoCap's convention), not about the root joint. Skinning weights
+and blend shapes get no gradient.
 """
 
 from __future__ import annotations
@@ -21,17 +23,18 @@ import numpy as np
 from ndf_mi.body.body import MODEL, Body
 from ndf_mi.errors import InputError
 
-_SMALL = 1e-2  # rad²: below it the series' error (1e-9 relative) is under float32's
+_SMALL = 1e-2  # rad²: below it the series' relative error, 1e-9, is below that of float32
 
 
 @dataclass(frozen=True)
 class JointTransforms:
-    """Where one pose takes the joints of a body.
+    """The transforms of a body's joints in one pose.
 
     Attributes:
-        matrices: flat mi.Float, J × 3 rows × 4: world from rest space, root rotation and translation included.
+        matrices: flat mi.Float, J × 3 rows × 4: from rest to world space, with root rotation and translation.
         shape: flat mi.Float of B coefficients, or None.
-        features: flat mi.Float, 9·(J-1): R(θ_j) - I of the joints but the root, row by row, or None without pose_dirs.
+        features: flat mi.Float, 9·(J-1): R(θ_j) - I of all joints but the root, row by row; None without
+            pose_dirs.
     """
 
     matrices: Any
@@ -40,7 +43,7 @@ class JointTransforms:
 
 
 class SkinnedVertices:
-    """N vertices that follow a body's joints: the body itself, or clothes on it. Weights are kept sparse.
+    """N vertices that follow a body's joints: the body itself, or clothes on it. Weights are stored sparsely.
 
     Args:
         template: (N, 3) rest vertices, metres.
@@ -78,19 +81,21 @@ class SkinnedVertices:
         for joints, weights in zip(self._joints, self._weights, strict=True):
             for row in range(3):
                 rows[row] += weights * dr.gather(mi.Vector4f, transforms.matrices, joints * 3 + row)
-        return dr.ravel(mi.Point3f(*(dr.fma(r.x, x.x, dr.fma(r.y, x.y, dr.fma(r.z, x.z, r.w))) for r in rows)))
+        posed = [dr.fma(row.x, x.x, dr.fma(row.y, x.y, dr.fma(row.z, x.z, row.w))) for row in rows]
+        return dr.ravel(mi.Point3f(*posed))
 
 
 def skin(body: Body, pose: Any, root_rotation: Any, translation: Any, shape: Any = None) -> mi.Float:
     """The posed vertices of ``body`` in world space, flat (3·V), metres.
 
     Args:
-        pose: (J, 3) axis-angle relative to the parent, radians; the capture format keeps the root's entry at zero.
+        pose: (J, 3) axis-angle relative to the parent, radians; the capture format keeps the root's entry at
+            zero.
         root_rotation: (3,) axis-angle of the whole body about the world's origin, radians.
         translation: (3,) metres, added after the rotation.
         shape: (B,) coefficients, or None for the template.
 
-    Each may be an array, an mi.TensorXf, or an mi.Float of as many values; gradients flow to those that carry them.
+    Each may be an array, an mi.TensorXf or a flat mi.Float; gradients flow to those that have them enabled.
 
     Raises:
         InputError: the body has no skinning model, or an argument has another size.
@@ -98,8 +103,10 @@ def skin(body: Body, pose: Any, root_rotation: Any, translation: Any, shape: Any
     return _prepared(body).vertices.apply(joint_transforms(body, pose, root_rotation, translation, shape))
 
 
-def joint_transforms(body: Body, pose: Any, root_rotation: Any, translation: Any, shape: Any = None) -> JointTransforms:
-    """The joints' transforms, for `SkinnedVertices.apply`; arguments and errors as `skin`."""
+def joint_transforms(
+    body: Body, pose: Any, root_rotation: Any, translation: Any, shape: Any = None
+) -> JointTransforms:
+    """The transforms of the joints, for `SkinnedVertices.apply`; arguments and errors as for `skin`."""
     prepared = _prepared(body)
     count = body.joint_count
     theta = dr.unravel(mi.Vector3f, _values("pose", pose, 3 * count))
@@ -110,8 +117,7 @@ def joint_transforms(body: Body, pose: Any, root_rotation: Any, translation: Any
     at = dr.unravel(mi.Vector3f, joints)
     rotation = rodrigues(theta)
 
-    # Pointer jumping: after round n each joint is chained with its 2ⁿ nearest ancestors. The last entry is the world,
-    # which every root's chain ends in, so that one gather serves all joints.
+    # Pointer jumping: after round n each joint's transform includes those of its 2ⁿ nearest ancestors.
     above = dr.gather(mi.Vector3f, dr.ravel(at), prepared.parent_or_self)
     offset = at - dr.select(prepared.is_root, 0, above)
     rows = [mi.Vector4f(*rotation[i], offset[i]) for i in range(3)]
@@ -134,7 +140,7 @@ def joint_transforms(body: Body, pose: Any, root_rotation: Any, translation: Any
 def rodrigues(axis_angle: mi.Vector3f) -> mi.Matrix3f:
     """Rotation matrices of axis-angle vectors, radians: I + a·K + b·K², a = sin θ/θ, b = (1 - cos θ)/θ².
 
-    Near θ = 0 both are series in θ², and the square root never sees 0, so that the gradient is exact there, too.
+    Near θ = 0 both are series in θ², and the square root never gets 0: the gradient is exact there too.
     """
     squared = dr.squared_norm(axis_angle)
     small = squared < _SMALL
@@ -152,7 +158,7 @@ def rodrigues(axis_angle: mi.Vector3f) -> mi.Matrix3f:
 
 @dataclass(frozen=True)
 class _Prepared:
-    """What does not change from pose to pose, on the device."""
+    """What does not depend on the pose, on the device."""
 
     vertices: SkinnedVertices
     joints: Any
@@ -166,7 +172,7 @@ _cache: weakref.WeakKeyDictionary[Body, dict[str, _Prepared]] = weakref.WeakKeyD
 
 
 def _prepared(body: Body) -> _Prepared:
-    """Prepares ``body`` once a variant."""
+    """Prepares ``body``, once for each variant."""
     by_variant = _cache.setdefault(body, {})
     variant = str(mi.variant())
     if variant not in by_variant:
@@ -195,7 +201,7 @@ def _prepared(body: Body) -> _Prepared:
 
 
 def _chain(rows: list[Any], ancestors: Any, ends: Any) -> list[Any]:
-    """Each joint's transform after its ancestor's; left alone where its chain ``ends`` in the root."""
+    """Each joint's transform followed by its ancestor's; unchanged where the chain ``ends`` at the root."""
     flat = _interleave([rows[i][k] for i in range(3) for k in range(4)], dr.width(ancestors))
     upper = [dr.gather(mi.Vector4f, flat, ancestors * 3 + i) for i in range(3)]
     out = []
@@ -207,7 +213,7 @@ def _chain(rows: list[Any], ancestors: Any, ends: Any) -> list[Any]:
 
 
 def _interleave(columns: list[Any], count: int) -> mi.Float:
-    """Flat array of ``count`` records, one value of each column in turn."""
+    """A flat array of ``count`` records, each of one value a column."""
     stride = len(columns)
     flat = dr.zeros(mi.Float, stride * count)
     at = dr.arange(mi.UInt32, count) * stride
@@ -232,7 +238,9 @@ def _data(array: np.ndarray) -> mi.Float:
 
 
 def _values(name: str, value: Any, count: int) -> mi.Float:
-    """``value`` as a flat mi.Float of ``count`` values that is data, never a literal, so that no kernel bakes it in."""
+    """``value`` as a flat mi.Float of ``count`` values. It is data, not a literal, so that no kernel bakes it
+    in.
+    """
     flat = value.array if isinstance(value, mi.TensorXf) else value
     if not isinstance(flat, mi.Float):
         if not dr.is_jit_v(flat):

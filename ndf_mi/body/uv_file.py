@@ -1,4 +1,4 @@
-"""Files of texel coordinates for a mesh that comes without: a Wavefront OBJ, or an ``.npz`` of ``uv`` and ``uv_faces``."""
+"""Texture coordinates in a file of their own, for a mesh that comes without: Wavefront OBJ or ``.npz``."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ndf_mi.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class UVFile:
-    """Texel coordinates over a mesh's triangles.
+    """Texture coordinates over a mesh's triangles.
 
     Attributes:
         path: the file.
         uv: (U, 2) float32 in [0, 1], v up.
         uv_faces: (F, 3) int32 into ``uv``.
-        faces: (F, 3) int32, the vertices of the same triangles; None where the file leaves them to the mesh.
+        faces: (F, 3) int32, the vertices of the same triangles; None if the file does not have them.
     """
 
     path: Path
@@ -30,14 +30,14 @@ class UVFile:
     faces: np.ndarray | None
 
     def over(self, faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
-        """``uv`` and ``uv_faces`` corner by corner with ``faces``, whatever the order of triangles and corners in the file.
+        """``uv`` and ``uv_faces``, brought into the order of the triangles and corners of ``faces``.
 
         Args:
             faces: (F, 3) the mesh's triangles.
-            vertex_count: V, for the message where the file is of another mesh.
+            vertex_count: V, for the error message if the file belongs to another mesh.
 
         Raises:
-            InputError: the file's triangles are not the mesh's.
+            InputError: the triangles of the file are not those of the mesh.
         """
         if self.faces is None:
             if len(self.uv_faces) != len(faces):
@@ -53,23 +53,26 @@ class UVFile:
             raise self._other(f"other triangles, {int(lacking.sum())} of them", len(faces), vertex_count)
         place = np.empty(len(faces), dtype=np.int64)
         place[wanted] = order
-        # Corner c of the mesh's triangle is c - theirs_first of the turned one, which is that plus mine_first in the file.
+        # Corner c of the mesh's triangle is corner c - theirs_first of the turned one, and so c -
+        # theirs_first + mine_first of the file's.
         corners = (np.arange(3) - theirs_first[:, None] + mine_first[place][:, None]) % 3
         return self.uv, np.take_along_axis(self.uv_faces[place], corners, axis=1)
 
     def _other(self, found: str, triangles: int, vertices: int) -> InputError:
-        return InputError(self.path, found, f"texel coordinates over the mesh of {vertices} vertices and {triangles} triangles")
+        expected = f"texture coordinates of the mesh with {vertices} vertices and {triangles} triangles"
+        return InputError(self.path, found, expected)
 
 
 def read_uv(path: str | os.PathLike[str]) -> UVFile:
-    """Reads texel coordinates.
+    """Reads texture coordinates.
 
     Args:
-        path: ``.obj`` whose faces (triangles or quads) have ``v/vt`` at each corner, vertices numbered as the mesh's; or ``.npz``
-            with ``uv`` (U, 2), ``uv_faces`` (F, 3) and, optional, ``faces`` (F, 3), without which they are the mesh's own.
+        path: an ``.obj`` whose faces (triangles or quads) have ``v/vt`` at each corner and number vertices as
+            the mesh does; or an ``.npz`` with ``uv`` (U, 2), ``uv_faces`` (F, 3) and optionally ``faces`` (F,
+            3), by default those of the mesh.
 
     Raises:
-        InputError: missing, damaged, without texel coordinates, or of another kind.
+        InputError: the file is missing, damaged, without texture coordinates, or of another kind.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -83,11 +86,12 @@ def read_uv(path: str | os.PathLike[str]) -> UVFile:
             uv_faces = np.concatenate([group.uv_faces for group in groups.values()])
             faces = np.concatenate([group.faces for group in groups.values()])
         except FileNotFoundError:
-            raise InputError(path, "no such file", "texel coordinates, .obj or .npz") from None
+            raise InputError(path, "no such file", "texture coordinates, .obj or .npz") from None
         except (OSError, ValueError, IndexError) as error:
-            raise InputError(path, f"no mesh with texel coordinates ({error})", "an OBJ with v/vt at each corner") from None
+            raise InputError(path, f"no mesh with texture coordinates ({error})",
+                             "an OBJ with v/vt at each corner") from None
     else:
-        raise InputError(path, f"the suffix {kind or 'nothing'}", "texel coordinates, .obj or .npz")
+        raise InputError(path, f"the suffix {kind or 'nothing'}", "texture coordinates, .obj or .npz")
     uv = arrays.floats(f"{path}: uv", uv, (None, 2))
     uv_faces = arrays.indices(f"{path}: uv_faces", uv_faces, (None, 3), 0, max(1, len(uv)))
     if faces is not None:
@@ -96,6 +100,6 @@ def read_uv(path: str | os.PathLike[str]) -> UVFile:
 
 
 def _turned(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles turned so that the lowest vertex comes first, and the corner, (F,), at which that was."""
+    """Triangles turned so that the lowest vertex comes first, and (F,) the corner where it was."""
     first = faces.argmin(axis=1)
     return np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1), first

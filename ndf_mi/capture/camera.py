@@ -1,20 +1,20 @@
-"""A calibrated camera: the keys of nerfstudio's ``transforms.json``, and the same camera as a Mitsuba sensor."""
+"""A calibrated camera with the keys of nerfstudio's ``transforms.json``, also as a Mitsuba sensor."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
-if TYPE_CHECKING:
-    import mitsuba as mi
-
-#: OpenGL's camera axes (x right, y up, looking along -z) seen from Mitsuba's (x left, y up, looking along +z).
+#: OpenGL's camera axes (x right, y up, looking along -z) seen from Mitsuba's (x left, y up, looking along
+#: +z).
 _GL_FROM_MITSUBA = np.diag([-1.0, 1.0, -1.0, 1.0])
 
-#: Relative difference of fl_x and fl_y up to which pixels count as square: below 1e-3 pixels over 1000 pixels.
+#: Largest relative difference of fl_x and fl_y for square pixels: below 1e-3 pixels in 1000.
 _SQUARE = 1e-6
 
 
@@ -23,9 +23,10 @@ class Camera:
     """One camera: size and intrinsics in pixels, pose in metres.
 
     Attributes:
-        name: the camera's name, also its folder's.
+        name: the name of the camera and of its folder.
         w, h: image size.
-        fl_x, fl_y, cx, cy: focal lengths and principal point in pixels; (0.5, 0.5) is the centre of the top left pixel.
+        fl_x, fl_y, cx, cy: focal lengths and principal point in pixels; (0.5, 0.5) is the centre of the top
+            left pixel.
         transform: (4, 4) camera-to-world in OpenGL's axes (x right, y up, looking along -z), a rigid motion.
         distortion: k1, k2, k3, p1, p2 of OpenCV's radial and tangential model; zeros mean none.
     """
@@ -42,21 +43,21 @@ class Camera:
 
     @property
     def is_pinhole(self) -> bool:
-        """Whether there is no distortion and pixels are square, which is what Mitsuba's sensor can be."""
+        """Whether the camera has square pixels and no distortion, as Mitsuba's sensor requires."""
         return not any(self.distortion) and abs(self.fl_x - self.fl_y) <= _SQUARE * self.fl_x
 
     @property
     def position(self) -> np.ndarray:
-        """(3,) world position of the centre of projection."""
+        """(3,) the centre of projection in world space."""
         return np.asarray(self.transform, dtype=np.float64)[:3, 3]
 
     def scaled(self, w: int, h: int) -> Camera:
-        """The same view on another number of pixels."""
+        """The same view with another image size."""
         x, y = w / self.w, h / self.h
         return replace(self, w=w, h=h, fl_x=self.fl_x * x, fl_y=self.fl_y * y, cx=self.cx * x, cy=self.cy * y)
 
     def pinhole(self) -> Camera:
-        """The ideal camera in this one's place: no distortion, square pixels of the mean focal length."""
+        """The pinhole camera at the same place: no distortion, square pixels of the mean focal length."""
         if self.is_pinhole:
             return replace(self, fl_y=self.fl_x, distortion=(0.0,) * 5)
         focal = 0.5 * (self.fl_x + self.fl_y)
@@ -83,7 +84,7 @@ class Camera:
     def project(self, points: np.ndarray) -> np.ndarray:
         """Projects (N, 3) world points to (N, 2) float64 pixel coordinates, distortion included.
 
-        Points on or behind the camera's plane give NaN.
+        Points in or behind the camera's plane give NaN.
         """
         local = self.to_camera(points)
         depth = np.where(local[:, 2] < 0, -local[:, 2], np.nan)[:, None]
@@ -98,18 +99,16 @@ class Camera:
         return (np.asarray(points, dtype=np.float64) - transform[:3, 3]) @ transform[:3, :3]
 
     def rays(self, pixels: mi.Point2f) -> mi.Ray3f:
-        """World rays of unit direction through pixel coordinates; (0.5, 0.5) is the centre of the top left pixel.
+        """World rays of unit direction through pixel coordinates; (0.5, 0.5) is the centre of the top left
+        pixel.
 
-        Intrinsics and pose enter as opaque values, so that one kernel serves every camera.
+        Intrinsics and pose are opaque values, so that one kernel serves all cameras.
 
         Raises:
-            ValueError: the camera has distortion; take ``pinhole()``.
+            ValueError: the camera has distortion; use ``pinhole()``.
         """
-        import drjit as dr
-        import mitsuba as mi
-
         if any(self.distortion):
-            raise ValueError(f"camera {self.name} has distortion: rays are those of camera.pinhole()")
+            raise ValueError(f"camera {self.name} has distortion: use camera.pinhole()")
 
         def scalar(value: float) -> mi.Float:
             return dr.opaque(mi.Float, float(value))
@@ -130,18 +129,16 @@ class Camera:
         """This camera as the dictionary of a Mitsuba ``perspective`` sensor with an ``hdrfilm``.
 
         Args:
-            spp: samples a pixel.
-            sampler: the sampler plugin's name.
-            rfilter: the reconstruction filter plugin's name.
-            crop: x, y, width, height in pixels of the part to render; everything by default.
+            spp: samples per pixel.
+            sampler: name of the sampler plugin.
+            rfilter: name of the reconstruction filter plugin.
+            crop: x, y, width, height in pixels of the part to render; by default the whole image.
 
         Raises:
-            ValueError: the camera has distortion or pixels that aren't square, which ``perspective`` can't express.
+            ValueError: the camera has distortion or pixels that are not square; use ``pinhole()``.
         """
-        import mitsuba as mi
-
         if not self.is_pinhole:
-            raise ValueError(f"camera {self.name} has distortion or non-square pixels: take camera.pinhole()")
+            raise ValueError(f"camera {self.name} has distortion or non-square pixels: use camera.pinhole()")
         film: dict[str, Any] = {
             "type": "hdrfilm",
             "width": self.w,
@@ -158,7 +155,7 @@ class Camera:
             "type": "perspective",
             "fov_axis": "x",
             "fov": math.degrees(2 * math.atan(self.w / (2 * self.fl_x))),
-            # Mitsuba shifts the sample position by the offset before it looks at the image plane, hence this sign.
+            # Mitsuba shifts the sample's position before it maps it to the image plane, hence the sign.
             "principal_point_offset_x": 0.5 - self.cx / self.w,
             "principal_point_offset_y": 0.5 - self.cy / self.h,
             "near_clip": 1e-2,
@@ -167,3 +164,19 @@ class Camera:
             "film": film,
             "sampler": {"type": sampler, "sample_count": spp},
         }
+
+
+def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """(4, 4) camera-to-world in OpenGL's axes of a camera that looks from one point to another, y up."""
+    back = position - target
+    back /= np.linalg.norm(back)
+    right = np.cross([0.0, 1.0, 0.0], back)
+    right /= np.linalg.norm(right)
+    transform = np.eye(4)
+    transform[:3] = np.stack([right, np.cross(back, right), back, position], axis=1)
+    return transform
+
+
+def is_rotation(matrix: np.ndarray) -> bool:
+    """Whether a (3, 3) matrix is a rotation, within 1e-3."""
+    return np.abs(matrix @ matrix.T - np.eye(3)).max() <= 1e-3 and np.linalg.det(matrix) > 0

@@ -1,4 +1,4 @@
-"""Finds everything that is wrong with a capture's folder, where the reader stops at the first."""
+"""Finds all issues of a capture, where reading it stops at the first."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ from scipy.ndimage import binary_dilation
 
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
-from ndf_mi.capture.capture import Capture, frame_faults
+from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.capture import Capture, frame_issues
 from ndf_mi.capture.document import Document, parse_document
 from ndf_mi.capture.images import read_image, read_mask
 from ndf_mi.errors import InputError
 
-#: Largest difference, in sRGB, of a pixel outside the mask from the background: three steps of 8 bits.
+#: Largest difference, in sRGB, between the background and a pixel outside the mask: three 8-bit steps.
 _BACKGROUND_TOLERANCE = 3.5 / 255
 
-#: Least share of the body's vertices, those in front of the camera, that fall on the mask when body and camera fit.
-_ON_MASK = 0.5
+ON_MASK = 0.5
+"""Least fraction of the body's vertices in an image that must fall on its mask. Fewer show that body, camera
+and mask do not belong together."""
 
 
 def problems(path: str | os.PathLike[str]) -> list[InputError]:
-    """Everything wrong with the capture in the folder ``path``, each with its file, key, what was found and expected.
+    """All issues of the capture in the folder ``path``, each with its file and key.
 
-    Besides what the reader refuses, it finds images whose background isn't the one declared and bodies that lie off
-    their mask, which is how a wrong unit, axis or frame number shows.
+    Besides what the reader refuses, these are images whose background is not the declared one, and bodies off
+    their mask, which show a wrong unit, axis or frame number.
     """
     folder = Path(path)
     document, found = parse_document(folder)
@@ -42,29 +44,31 @@ def problems(path: str | os.PathLike[str]) -> list[InputError]:
     if document is None:
         return found
     if poses is not None:
-        found += frame_faults(folder, document, poses)
+        found += frame_issues(folder, document, poses)
     for camera, frame in document.images():
-        found += _image_problems(folder, document, poses, camera, frame)
+        found += _image_issues(folder, document, poses, camera, frame)
     return found
 
 
 def summary(capture: Capture) -> str:
-    """Some lines that say what the capture holds."""
+    """Describes the contents of a capture in a few lines."""
     sizes = sorted({(camera.w, camera.h) for camera in capture.cameras.values()})
+    pixels = ", ".join(f"{w} x {h}" for w, h in sizes)
     lines = [
-        f"{capture.name}: {len(capture.cameras)} cameras of {', '.join(f'{w} x {h}' for w, h in sizes)} pixels",
+        f"{capture.name}: {len(capture.cameras)} cameras of {pixels} pixels",
         f"body: {capture.poses.vertices.shape[1]} vertices, {len(capture.body.faces)} triangles, "
         f"{len(capture.poses.frames)} posed frames",
     ]
     for name, split in capture.splits.items():
         if name == "sequence" and not len(split):
             continue
-        lines.append(f"{name}: {len(split.cameras)} cameras x {len(split.frames)} frames = {len(split)} images")
+        cameras, frames = len(split.cameras), len(split.frames)
+        lines.append(f"{name}: {cameras} cameras x {frames} frames = {len(split)} images")
     lines.append(f"digest: {capture.digest}")
     return "\n".join(lines)
 
 
-def _image_problems(
+def _image_issues(
     folder: Path, document: Document, poses: Poses | None, camera_name: str, frame: int
 ) -> list[InputError]:
     camera = document.cameras[camera_name]
@@ -84,32 +88,36 @@ def _image_problems(
     if image is not None and mask is not None and not mask.all():
         difference = float(np.abs(image[~mask] - np.array(document.background, dtype=np.float32)).max())
         if difference > _BACKGROUND_TOLERANCE:
-            found.append(
-                InputError(
-                    image_file,
-                    f"pixels outside the mask that differ from the background by up to {difference:.3f}",
-                    f"the background of capture.json, {list(document.background)}, within {_BACKGROUND_TOLERANCE:.3f}",
-                )
-            )
+            declared = f"{list(document.background)}, within {_BACKGROUND_TOLERANCE:.3f}"
+            found.append(InputError(
+                image_file,
+                f"pixels outside the mask that differ from the background by up to {difference:.3f}",
+                f"the background in capture.json, {declared}",
+            ))
     if mask is not None and poses is not None and frame in poses.frames:
-        # A vertex on the outline may fall into the pixel beside it.
-        share = _share_on_mask(camera.project(poses.vertices[poses.index(frame)]), binary_dilation(mask))
-        if share < _ON_MASK:
-            found.append(
-                InputError(
-                    mask_file,
-                    f"only {share:.0%} of the body's vertices seen from camera {camera_name} on the mask",
-                    f"{_ON_MASK:.0%} or more",
-                    "look at the units (metres), the camera's axes (OpenGL) and the frame's number in poses.npz",
-                )
-            )
+        share = fraction_on_mask(camera, poses.vertices[poses.index(frame)], mask)
+        if share < ON_MASK:
+            found.append(InputError(
+                mask_file,
+                f"only {share:.0%} of the body's vertices in camera {camera_name} on the mask",
+                f"{ON_MASK:.0%} or more",
+                "Check units (metres), the camera's axes (OpenGL) and the frame's number in poses.npz.",
+            ))
     return found
 
 
-def _share_on_mask(pixels: np.ndarray, mask: np.ndarray) -> float:
-    """Share of projected points, those within the image, that fall on the mask; 0 when none is within it."""
+def fraction_on_mask(camera: Camera, vertices: np.ndarray, mask: np.ndarray) -> float:
+    """The fraction of a body's vertices in the image that fall on the mask or next to it; 0 if none is in the
+    image.
+
+    Args:
+        vertices: (V, 3) world positions.
+        mask: (h, w) bool.
+    """
+    pixels = camera.project(vertices)
     height, width = mask.shape
     with np.errstate(invalid="ignore"):
         inside = ((pixels >= 0) & (pixels < [width, height])).all(axis=1)
     columns, rows = np.floor(pixels[inside]).astype(int).T
-    return float(mask[rows, columns].mean()) if inside.any() else 0.0
+    # A vertex on the outline may fall into the pixel next to it.
+    return float(binary_dilation(mask)[rows, columns].mean()) if inside.any() else 0.0

@@ -1,4 +1,6 @@
-"""PNG files of a capture: 8-bit sRGB images and one-channel masks, checked on reading, undistorted where needed."""
+"""The PNG files of a capture, 8-bit sRGB images and one-channel masks: reading, checking, writing,
+undistorting.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ def read_png(path: Path, mode: str, size: tuple[int, int]) -> np.ndarray:
     """Reads an 8-bit PNG of Pillow mode ``RGB`` or ``L`` and of ``size`` (w, h); uint8 (h, w, 3) or (h, w).
 
     Raises:
-        InputError: missing, not an image, truncated, of another mode or of another size.
+        InputError: the file is missing, truncated, not an image, or of another mode or size.
     """
     kind = {"RGB": "8-bit RGB", "L": "8-bit, one channel"}[mode]
     try:
@@ -42,15 +44,15 @@ def read_image(path: Path, size: tuple[int, int]) -> np.ndarray:
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """(h, w) bool, True on the performer.
+    """(h, w) bool, true on the performer.
 
     Raises:
-        InputError: as ``read_png``; or the mask is empty or holds values other than 0 and 255.
+        InputError: as ``read_png``; or the mask is empty, or has values other than 0 and 255.
     """
     mask = read_png(path, "L", size)
     other = np.setdiff1d(mask, [0, 255])
     if other.size:
-        raise InputError(path, f"a mask with the value {other[0]}", "0 (background) and 255 (performer) only")
+        raise InputError(path, f"a mask with the value {other[0]}", "only 0 (background) and 255 (performer)")
     if not mask.any():
         raise InputError(path, "an empty mask", "some pixels of 255 (performer)")
     return mask > 0
@@ -71,23 +73,24 @@ def write_mask(path: Path, mask: np.ndarray) -> None:
 
 
 def undistort_image(image: np.ndarray, camera: Camera, background: np.ndarray) -> np.ndarray:
-    """(h, w, 3) as ``camera.pinhole()`` would have seen it, bilinear; ``background`` where the camera saw nothing."""
-    at = _source_positions(camera)
-    channels = [
-        map_coordinates(image[..., i], at, order=1, mode="constant", cval=float(background[i])) for i in range(3)
-    ]
+    """(h, w, 3) as seen by ``camera.pinhole()``, bilinear; ``background`` outside of the camera's image."""
+    at = source_positions(camera)
+    channels = [map_coordinates(image[..., i], at, order=1, cval=float(background[i])) for i in range(3)]
     return np.stack(channels, axis=-1).astype(np.float32)
 
 
 def undistort_mask(mask: np.ndarray, camera: Camera) -> np.ndarray:
-    """(h, w) bool as ``camera.pinhole()`` would have seen it: the nearest pixel's."""
-    return map_coordinates(mask.astype(np.uint8), _source_positions(camera), order=0, mode="constant", cval=0) > 0
+    """(h, w) bool as seen by ``camera.pinhole()``, from the nearest pixels."""
+    return map_coordinates(mask.astype(np.uint8), source_positions(camera), order=0) > 0
 
 
-def _source_positions(camera: Camera) -> np.ndarray:
-    """(2, h, w) row and column (0 at a centre) in the distorted image of each pixel of the pinhole image."""
+def source_positions(camera: Camera) -> np.ndarray:
+    """(2, h, w) row and column in the camera's image, 0 at a pixel's centre, for each pixel of
+    ``camera.pinhole()``.
+    """
     ideal = camera.pinhole()
     rows, columns = np.mgrid[0 : ideal.h, 0 : ideal.w] + 0.5
-    normalised = np.stack([(columns - ideal.cx) / ideal.fl_x, (rows - ideal.cy) / ideal.fl_y], axis=-1).reshape(-1, 2)
-    seen = camera.distort(normalised) * [camera.fl_x, camera.fl_y] + [camera.cx, camera.cy] - 0.5
+    normalised = np.stack([(columns - ideal.cx) / ideal.fl_x, (rows - ideal.cy) / ideal.fl_y], axis=-1)
+    distorted = camera.distort(normalised.reshape(-1, 2))
+    seen = distorted * [camera.fl_x, camera.fl_y] + [camera.cx, camera.cy] - 0.5
     return seen.T[::-1].reshape(2, ideal.h, ideal.w)

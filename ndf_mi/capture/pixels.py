@@ -1,4 +1,6 @@
-"""Pixels and their rays in numpy, float64: for sampling pixels and for masks of boxes, where no kernel is needed."""
+"""Pixels and their rays in numpy, float64: for sampling pixels and for masks of boxes, where no kernel is
+needed.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +17,17 @@ def pixel_rays(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarr
         pixels: (N,) pixel indices, numbered row by row.
     """
     y, x = np.divmod(pixels.astype(np.int64), camera.w)
-    local = np.stack([(x + 0.5 - camera.cx) / camera.fl_x, (camera.cy - y - 0.5) / camera.fl_y, -np.ones(len(pixels))])
+    local = np.stack([(x + 0.5 - camera.cx) / camera.fl_x, (camera.cy - y - 0.5) / camera.fl_y,
+                      -np.ones(len(pixels))])
     direction = np.asarray(camera.transform, dtype=np.float64)[:3, :3] @ local
     origin = np.broadcast_to(camera.position[:, None], direction.shape)
     return origin, direction / np.linalg.norm(direction, axis=0)
 
 
 def box_pixels(camera: Camera, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(h, w) bool mask of the pixels whose ray meets the axis-aligned box [low, high] in front of the camera."""
+    """(h, w) bool mask of the pixels whose ray meets the axis-aligned box [low, high] in front of the
+    camera.
+    """
     origin, direction = pixel_rays(camera, np.arange(camera.w * camera.h))
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (low[:, None] - origin) / direction, (high[:, None] - origin) / direction

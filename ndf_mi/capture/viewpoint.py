@@ -1,4 +1,4 @@
-"""A camera that frames a posed body, for pictures without a capture's cameras."""
+"""A camera that frames a posed body, for pictures without the cameras of a capture."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import math
 
 import numpy as np
 
-from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.camera import Camera, look_at
 
 _FIELD_OF_VIEW = math.radians(35.0)
 _FILL = 0.8
 
 
 def framing(vertices: np.ndarray, w: int, h: int, azimuth: float = 0.0, elevation: float = 5.0) -> Camera:
-    """A pinhole camera that looks at the middle of a body, which fills most of the image.
+    """A pinhole camera aimed at the middle of a body, which fills most of the image.
 
     Args:
         vertices: (V, 3) posed body in metres, y up.
         w, h: image size in pixels.
-        azimuth: degrees around the vertical axis, 0 for looking along −z, growing anticlockwise seen from above.
+        azimuth: degrees around the vertical axis, anticlockwise seen from above; 0 looks along −z.
         elevation: degrees above the horizon, in (−90, 90).
     """
     low, high = vertices.min(0).astype(np.float64), vertices.max(0).astype(np.float64)
@@ -28,8 +28,5 @@ def framing(vertices: np.ndarray, w: int, h: int, azimuth: float = 0.0, elevatio
     distance = radius / (_FILL * math.sin(0.5 * _FIELD_OF_VIEW))
     a, e = math.radians(azimuth), math.radians(elevation)
     back = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
-    right = np.cross([0.0, 1.0, 0.0], back)
-    right /= np.linalg.norm(right)
-    transform = np.eye(4)
-    transform[:3, :4] = np.stack([right, np.cross(back, right), back, centre + distance * back], axis=1)
+    transform = look_at(centre + distance * back, centre)
     return Camera(f"azimuth{azimuth:g}", w, h, focal, focal, w / 2, h / 2, transform)

@@ -1,4 +1,4 @@
-"""Writes a capture, its description last: a folder without ``capture.json`` is one that isn't finished."""
+"""Writes a capture. ``capture.json`` comes last: a folder without it is not finished."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ndf_mi.files import write_json
 
 
 class CaptureWriter:
-    """Writes images and masks one by one, then ``finish`` writes the body, the poses and ``capture.json``.
+    """Writes images and masks one by one; ``finish`` then writes the body, the poses and ``capture.json``.
 
     Args:
         path: the capture's folder; made when the first file is written.
-        document: what ``capture.json`` shall say.
+        document: the contents of ``capture.json``.
     """
 
     def __init__(self, path: str | os.PathLike[str], document: Document) -> None:
@@ -27,13 +27,13 @@ class CaptureWriter:
         self.document = document
 
     def files(self, camera: str, frame: int) -> tuple[Path, Path]:
-        """The image's and the mask's path."""
+        """The paths of the image and the mask."""
         patterns = (self.document.image_pattern, self.document.mask_pattern)
         image, mask = (self.path / pattern.format(camera=camera, frame=frame) for pattern in patterns)
         return image, mask
 
     def has(self, camera: str, frame: int) -> bool:
-        """Whether both the image and the mask are there; files are renamed into place, so they are whole."""
+        """Whether both the image and the mask exist; files are written atomically, and so are complete."""
         return all(file.is_file() for file in self.files(camera, frame))
 
     def write(self, camera: str, frame: int, image: np.ndarray, mask: np.ndarray) -> None:
@@ -44,13 +44,13 @@ class CaptureWriter:
         """
         of = self.document.cameras[camera]
         if image.shape != (of.h, of.w, 3) or mask.shape != (of.h, of.w):
-            raise ValueError(f"camera {camera} is {of.h} x {of.w}, not {image.shape} with a mask {mask.shape}")
+            raise ValueError(f"camera {camera} is {of.h} x {of.w}, not {image.shape} with mask {mask.shape}")
         image_file, mask_file = self.files(camera, frame)
         write_image(image_file, image)
         write_mask(mask_file, mask)
 
     def finish(self, body: Body, poses: Poses) -> None:
-        """Writes the body and the poses, and, now that all is there, ``capture.json``."""
+        """Writes the body, the poses and finally ``capture.json``."""
         body.write(self.path / "body.npz")
         poses.write(self.path / "poses.npz")
         write_json(self.path / FILE_NAME, self.document.as_json())

@@ -51,7 +51,7 @@ class TestBody:
             ("faces", lambda a: a.astype(float), "float64"),
             ("uv", lambda a: a + 0.5, "values from"),
             ("uv", lambda a: np.where(a == a[3, 1], np.nan, a), r"nan at \[3, 1\]"),
-            ("uv", lambda a: a[:0], "no texel"),
+            ("uv", lambda a: a[:0], "no texture"),
             ("uv_faces", lambda a: a[1:], r"shape \(19, 3\)"),
             ("uv_faces", lambda a: a * 30, "values from"),
             ("template", lambda a: a.astype(str), "type <U"),

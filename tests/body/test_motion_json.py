@@ -76,10 +76,10 @@ def test_the_default_body_knows_smpls_names(anny: Body, tmp_path: Path) -> None:
         ({}, "frames: found no keyframe"),
         ([3], r"frames\[0\]: found a int"),
         ([{}], r"frames\[0\].time: found nothing"),
-        ([{"time": 0}, {"time": 0}], r"frames\[1\].time: found 0; .* more than the one before"),
-        ([{"time": -1}], "seconds from 0 on"),
+        ([{"time": 0}, {"time": 0}], r"frames\[1\].time: found 0; .*ascending"),
+        ([{"time": -1}], "found -1; .*0 or more"),
         ([{"time": 0, "joint": {}}], r"frames\[0\].joint: found a key of that name; expected time, joints, root, translation"),
-        ([{"time": 0, "joints": {"elbow": [0, 0, 0]}}], "the joint 'elbow'; expected joints of the body but its root: chest, arm, leg"),
+        ([{"time": 0, "joints": {"elbow": [0, 0, 0]}}], "the joint 'elbow'; expected .*: chest, arm, leg"),
         ([{"time": 0, "joints": {"pelvis": [0, 0, 0]}}], "the joint 'pelvis'"),
         ([{"time": 0, "joints": {"arm": [0, 0]}}], r"joints.arm: found \[0, 0\]; expected three numbers"),
         ([{"time": 0, "joints": {"arm": [0, "x", 0]}}], 'joints.arm: found "x"; expected a finite number'),
@@ -102,7 +102,7 @@ def test_refuses_what_is_no_motion(small: Body, anny: Body, tmp_path: Path) -> N
         with pytest.raises(InputError, match=message):
             play_json(small, path)
     both = {"LeftForeArm": [0, 0, 1], "left_elbow": [0, 0, 2]}
-    with pytest.raises(InputError, match="two of its names"):
+    with pytest.raises(InputError, match="two names"):
         play_json(anny, write(tmp_path, [{"time": 0, "joints": both}]))
     with pytest.raises(InputError, match="no skinning model"):
         play_json(Body(small.faces, small.uv, small.uv_faces), write(tmp_path, [{"time": 0}]))

@@ -1,1 +1,3 @@
-"""Captures of others' layouts (ZJU-MoCap, DynaCap), read into what `importing.import_capture` makes a capture of ours from."""
+"""Readers of other layouts (ZJU-MoCap, DynaCap); `importing.import_capture` converts what they find into a
+capture.
+"""

@@ -1,17 +1,18 @@
-"""Folders in ZJU-MoCap's layout: ``annots.npy`` names cameras and images, the fitted body lies beside, a file a frame.
+"""ZJU-MoCap's layout: ``annots.npy`` lists cameras and images; the fitted body is in a file for each frame.
 
 ::
 
-    DIR/annots.npy                      a pickled dict: cams (lists K, D, R, T) and ims (a list of {"ims": [a path a camera]})
-    DIR/Camera_B1/00000.jpg …           wherever ims says
-    DIR/mask_cihp/Camera_B1/00000.png   the same paths below mask_cihp or mask
-    DIR/params/I.npy, vertices/I.npy    a pickled dict of poses, shapes, Rh, Th; posed vertices. Fitted without pose blend shapes
-    DIR/new_params/, new_vertices/      the same, fitted with them
+    DIR/annots.npy                      a pickled dict: cams (lists K, D, R, T), ims (a list of {"ims":
+    [paths]}) DIR/Camera_B1/00000.jpg …           as in ims
+    DIR/mask_cihp/Camera_B1/00000.png   the same paths in mask_cihp or mask
+    DIR/params/I.npy, vertices/I.npy    fitted without pose blend shapes: a pickled dict; vertices
+    DIR/new_params/, new_vertices/      the same, with pose blend shapes
 """
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -27,30 +28,32 @@ from ndf_mi.errors import InputError
 
 FILE_NAME = "annots.npy"
 FITS = {"new_params": "new_vertices", "params": "vertices"}
-"""Folders of fits, those preferred first, with the folder of their vertices."""
+"""Folders of fits with the folders of their vertices, in order of preference."""
 
 _MASKS = ("mask_cihp", "mask")
 _MILLIMETRES = 1e-3
-#: Studios are no smaller: a camera nearer to the origin than this many millimetres tells that T is in metres.
+#: No studio is smaller: a camera nearer to the origin than this many millimetres shows that T is in metres.
 _NEAREST = 50.0
 
 
 @dataclass(frozen=True, eq=False)
 class Annotations:
-    """What ``annots.npy`` says: cameras in its order, and the images, a row a moment and a column a camera."""
+    """The contents of ``annots.npy``: cameras in its order; images by rows (moments) and columns
+    (cameras).
+    """
 
     file: Path
     calibrations: dict[str, Calibration]
     rows: list[list[PurePosixPath]]
 
     def numbers(self, rows: range, number: Callable[[str], int]) -> list[int]:
-        """The frames' numbers, by which fits are found; ``number`` reads one from an image's name.
+        """The frame numbers of rows, which name the fits; ``number`` reads one from an image's name.
 
         Raises:
-            InputError: there are not as many rows; a name has no number; a row's images have several.
+            InputError: too few rows; a name without a number; or several numbers in a row.
         """
         if rows.stop > len(self.rows):
-            raise InputError(f"{self.file}: ims", f"{len(self.rows)} frames", f"{rows.stop} at least")
+            raise InputError(f"{self.file}: ims", f"{len(self.rows)} frames", f"at least {rows.stop}")
         result = []
         for row in rows:
             found = set()
@@ -58,17 +61,23 @@ class Annotations:
                 try:
                     found.add(number(path.name))
                 except (ValueError, IndexError):
-                    raise InputError(f"{self.file}: ims[{row}]", f"the name {path.name}", "a name with the frame's number") from None
+                    raise InputError(f"{self.file}: ims[{row}]", f"the name {path.name}",
+                                     "a name with the frame's number") from None
             if len(found) != 1:
-                raise InputError(f"{self.file}: ims[{row}]", f"images of the frames {sorted(found)[:4]}", "images of one frame")
+                raise InputError(f"{self.file}: ims[{row}]", f"images of the frames {sorted(found)[:4]}",
+                                 "images of one frame")
             result.append(found.pop())
-        twice = [frame for i, frame in enumerate(result) if frame in result[:i]] if len(set(result)) < len(result) else []
-        if twice:
-            raise InputError(f"{self.file}: ims", f"frame {twice[0]} twice", "each frame once")
+        frame, count = Counter(result).most_common(1)[0] if result else (0, 0)
+        if count > 1:
+            raise InputError(f"{self.file}: ims", f"frame {frame} twice", "each frame once")
         return result
 
-    def images(self, splits: dict[str, Split], rows: Sequence[int], numbers: Sequence[int]) -> dict[tuple[str, int], tuple[Path, Path]]:
-        """Image and mask of every camera and frame of the splits; ``numbers`` are the frames of ``rows``."""
+    def images(
+        self, splits: dict[str, Split], rows: Sequence[int], numbers: Sequence[int]
+    ) -> dict[tuple[str, int], tuple[Path, Path]]:
+        """Image and mask files of every camera and frame of the splits; ``numbers`` are the frames of
+        ``rows``.
+        """
         folder = self.file.parent
         masks = next((folder / name for name in _MASKS if (folder / name).is_dir()), folder / _MASKS[0])
         row_of = dict(zip(numbers, rows, strict=True))
@@ -81,16 +90,18 @@ class Annotations:
 
 
 def read_annotations(folder: Path, size: tuple[int, int] | None) -> Annotations:
-    """Reads ``annots.npy``; ``size`` (w, h) is that of the images which the cameras' K belong to, None for that of the files.
+    """Reads ``annots.npy``; ``size`` (w, h) is the image size of the calibrations, None for the size of the
+    files.
 
     Raises:
-        InputError: it is missing, damaged, or lacks something, which the message names.
+        InputError: the file is missing, damaged or incomplete; the message names the key.
     """
     file = folder / FILE_NAME
     if not folder.is_dir():
         raise InputError(folder, "no such folder", f"a folder with {FILE_NAME}")
     held = unpickle.load_npy(file)
-    if not isinstance(held, dict) or not isinstance(held.get("cams"), dict) or not isinstance(held.get("ims"), list):
+    parts = (held.get("cams"), held.get("ims")) if isinstance(held, dict) else (None, None)
+    if not isinstance(parts[0], dict) or not isinstance(parts[1], list):
         raise InputError(file, "no cams or no ims", "a pickled dict with cams and ims")
     rows = [_row(file, i, entry) for i, entry in enumerate(held["ims"])]
     if not rows:
@@ -101,55 +112,65 @@ def read_annotations(folder: Path, size: tuple[int, int] | None) -> Annotations:
         raise InputError(f"{file}: cams", f"{counts} entries", "K, D, R and T of each camera")
     wrong = [i for i, row in enumerate(rows) if len(row) != counts["K"]]
     if wrong:
-        raise InputError(f"{file}: ims[{wrong[0]}]", f"{len(rows[wrong[0]])} images", f"one for each of {counts['K']} cameras")
+        raise InputError(f"{file}: ims[{wrong[0]}]", f"{len(rows[wrong[0]])} images",
+                         f"one for each of {counts['K']} cameras")
     names = _names(rows[0])
     cameras = {name: _calibration(file, i, name, lists, size) for i, name in enumerate(names)}
     farthest = max(float(np.linalg.norm(camera.translation)) for camera in cameras.values()) / _MILLIMETRES
     if farthest < _NEAREST:
-        repair = "multiply T by 1000 where it is in metres"
+        repair = "If T is in metres, multiply it by 1000."
         raise InputError(f"{file}: cams.T", f"translations of {farthest:.3g} at most", "millimetres", repair)
     return Annotations(file, cameras, rows)
 
 
-def fit_files(folder: Path, choice: str | None, frames: Sequence[int]) -> tuple[dict[int, Path], dict[int, Path], bool]:
-    """Files of fits and of vertices (none where their folder is absent) by frame, and whether they have pose blend shapes.
+def fit_files(
+    folder: Path, choice: str | None, frames: Sequence[int]
+) -> tuple[dict[int, Path], dict[int, Path], bool]:
+    """Files of fits and of vertices by frame, and whether the fits have pose blend shapes. Without a folder
+    of vertices there are none.
 
     Args:
-        folder: the capture's.
-        choice: ``new_params`` or ``params``; None for the first of these that is there.
-        frames: the frames' numbers.
+        folder: the folder of the capture.
+        choice: ``new_params`` or ``params``; None for the first of these that exists.
+        frames: frame numbers.
 
     Raises:
-        InputError: there is no such folder.
+        InputError: no such folder.
     """
     place = fit_folder(folder, choice)
     vertices = folder / FITS[place.name]
-    return _files(place, frames), _files(vertices, frames if vertices.is_dir() else ()), place.name == "new_params"
+    posed = _files(vertices, frames if vertices.is_dir() else ())
+    return _files(place, frames), posed, place.name == "new_params"
 
 
 def numbered_files(folder: Path) -> dict[int, Path]:
-    """The ``.npy`` files of a folder whose names are numbers, by number; with leading zeros only where there is none without."""
-    found = sorted((file for file in folder.glob("*.npy") if file.stem.isdecimal()), key=lambda file: -len(file.stem))
+    """The ``.npy`` files of a folder whose names are numbers, by number, preferring names without leading
+    zeros.
+    """
+    found = sorted((file for file in folder.glob("*.npy") if file.stem.isdecimal()),
+                   key=lambda file: -len(file.stem))
     return {int(file.stem): file for file in found}
 
 
 def _files(folder: Path, frames: Sequence[int]) -> dict[int, Path]:
-    """The file of each frame; where there is none, what it would be called."""
+    """The file of each frame, also if it does not exist."""
     there = numbered_files(folder) if frames else {}
     return {i: there.get(i, folder / f"{i}.npy") for i in frames}
 
 
 def fit_folder(folder: Path, choice: str | None) -> Path:
-    """The folder of fits: that of the name ``choice``, or the first of `FITS` that is there; InputError where there is none."""
+    """The folder of fits called ``choice``, or the first of `FITS` that exists; InputError if there is
+    none.
+    """
     for name in [choice] if choice else FITS:
         if (folder / name).is_dir():
             return folder / name
-    expected = "the fitted body, a file a frame" + ("" if choice else ", in new_params or params")
+    expected = "the fitted body, a file for each frame" + ("" if choice else ", in new_params or params")
     raise InputError(folder / (choice or "new_params"), "no such folder", expected)
 
 
 def _length(value: Any) -> int:
-    """How many entries a list or an array has; 0 for anything else."""
+    """The length of a list or an array; 0 for anything else."""
     return len(value) if isinstance(value, list) or (isinstance(value, np.ndarray) and value.ndim) else 0
 
 
@@ -166,22 +187,30 @@ def _row(file: Path, i: int, entry: Any) -> list[PurePosixPath]:
 
 
 def _names(row: list[PurePosixPath]) -> list[str]:
-    """The cameras' names: their folders', with what cannot stand in a name replaced; numbers where that gives no name to each."""
+    """The cameras' names: those of their folders, with invalid characters replaced; numbers if these are not
+    unique.
+    """
     names = [re.sub(r"[^A-Za-z0-9.\-]+", "_", path.parent.name).strip("_.-") for path in row]
-    return names if all(names) and len(set(names)) == len(names) else [f"camera{i:02d}" for i in range(len(row))]
+    unique = all(names) and len(set(names)) == len(names)
+    return names if unique else [f"camera{i:02d}" for i in range(len(row))]
 
 
-def _calibration(file: Path, i: int, name: str, lists: dict[str, Any], size: tuple[int, int] | None) -> Calibration:
+def _calibration(
+    file: Path, i: int, name: str, lists: dict[str, Any], size: tuple[int, int] | None
+) -> Calibration:
     parts = {}
     for key, count in (("K", 9), ("D", None), ("R", 9), ("T", 3)):
         array = arrays.regular(f"{file}: cams.{key}[{i}]", lists[key][i])
         if array.dtype.kind not in "iuf" or (count is not None and array.size != count):
-            raise InputError(f"{file}: cams.{key}[{i}]", f"type {array.dtype}, shape {array.shape}", f"{count or 'up to 5'} numbers")
+            raise InputError(f"{file}: cams.{key}[{i}]", f"type {array.dtype}, shape {array.shape}",
+                             f"{count or 'up to 5'} numbers")
         parts[key] = array.astype(np.float64).ravel()
     distortion = parts["D"]
     if distortion[5:].any():
-        raise InputError(f"{file}: cams.D[{i}]", f"{distortion.size} coefficients", "OpenCV's k1, k2, p1, p2, k3")
+        raise InputError(f"{file}: cams.D[{i}]", f"{distortion.size} coefficients",
+                         "OpenCV's k1, k2, p1, p2, k3")
     distortion = np.pad(distortion[:5], (0, max(0, 5 - distortion.size)))
     k1, k2, p1, p2, k3 = distortion.tolist()
     rotation, translation = parts["R"].reshape(3, 3), parts["T"] * _MILLIMETRES
-    return Calibration(name, f"{file}: cams[{i}]", parts["K"].reshape(3, 3), (k1, k2, p1, p2, k3), rotation, translation, size)
+    return Calibration(name, f"{file}: cams[{i}]", parts["K"].reshape(3, 3), (k1, k2, p1, p2, k3), rotation,
+                       translation, size)

@@ -1,12 +1,15 @@
-"""DynaCap (Habermann et al. 2021), as far as its layout is known; `docs/captures-from-elsewhere.md` says what is assumed.
+"""DynaCap (Habermann et al. 2021), as far as its layout is known; docs/captures-from-elsewhere.md lists the
+assumptions.
 
-The first 1,000 frames are trained on, the next 1,000 are novel poses; ten cameras train and five test, spread evenly over the file's
-order. A folder with ``annots.npy`` is read as one converted to ZJU-MoCap's layout; any other as::
+The first 1,000 frames are for training, the next 1,000 are novel poses. Ten cameras are for training and five
+for testing, spread evenly over the file's order. A folder with ``annots.npy`` is read as ZJU-MoCap's layout;
+any other as::
 
     DIR/cameras.calibration                           or the only *.calibration: see `skeletool`
-    DIR/images/C/image_c_C_f_F.jpg                    or .png; C the camera's name, F the frame's number
-    DIR/foregroundSegmentation/C/image_c_C_f_F.png    or .jpg; above 127 is the performer
-    DIR/params/F.npy, vertices/F.npy                  SMPL fitted to it, as in ZJU-MoCap's layout; or new_params, new_vertices
+    DIR/images/C/image_c_C_f_F.jpg                    or .png; C: camera, F: frame
+    DIR/foregroundSegmentation/C/image_c_C_f_F.png    or .jpg; above 127: performer
+    DIR/params/F.npy, vertices/F.npy                  fitted SMPL, as in ZJU-MoCap's layout; or new_params,
+    new_vertices
 """
 
 from __future__ import annotations
@@ -15,24 +18,30 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ndf_mi.capture.document import Split
-from ndf_mi.capture.readers.annotated import FILE_NAME, fit_files, fit_folder, numbered_files, read_annotations
+from ndf_mi.capture.readers.annotated import (
+    FILE_NAME,
+    fit_files,
+    fit_folder,
+    numbered_files,
+    read_annotations,
+)
 from ndf_mi.capture.readers.skeletool import read_calibrations
 from ndf_mi.capture.readers.source import Selection, Source
 from ndf_mi.errors import InputError
 
 LAYOUT = "dynacap"
 FRAMES = 1000
-"""Frames to train on, and then as many of novel poses."""
+"""Frames for training, followed by as many novel poses."""
 
 TRAIN_CAMERAS, TEST_CAMERAS = 10, 5
-"""How many; which ones the publication doesn't say."""
+"""Numbers of cameras; the publication does not name them."""
 
 _CALIBRATION = "cameras.calibration"
 _IMAGES, _MASKS = "images", "foregroundSegmentation"
 
 
 def read_dynacap(folder: Path, selection: Selection | None = None, fits: str | None = None) -> Source:
-    """Finds what is to be imported of a sequence's folder; arguments and errors as `zju.read_zju`."""
+    """Finds the files to import in the folder of a sequence; arguments and errors as for `zju.read_zju`."""
     folder, selection = Path(folder), selection or Selection()
     if not folder.is_dir():
         raise InputError(folder, "no such folder", "a sequence of DynaCap")
@@ -44,27 +53,32 @@ def read_dynacap(folder: Path, selection: Selection | None = None, fits: str | N
         splits = _splits(folder, selection, list(annotations.calibrations), numbers)
         images = annotations.images(splits, rows, numbers)
         files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
-        return Source(LAYOUT, name, selection, annotations.calibrations, splits, images, files, vertices, blended)
+        return Source(LAYOUT, name, selection, annotations.calibrations, splits, images, files, vertices,
+                      blended)
     cameras = read_calibrations(_calibration_file(folder))
     numbers = sorted(numbered_files(fit_folder(folder, fits)))
     splits = _splits(folder, selection, list(cameras), numbers)
     images = {}
     for camera, frame in {pair for split in splits.values() for pair in split}:
         stem = f"{camera}/image_c_{camera}_f_{frame}"
-        images[camera, frame] = (_file(folder / _IMAGES / stem, ".jpg", ".png"), _file(folder / _MASKS / stem, ".png", ".jpg"))
+        images[camera, frame] = (_file(folder / _IMAGES / stem, ".jpg", ".png"),
+                                 _file(folder / _MASKS / stem, ".png", ".jpg"))
     files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
     return Source(LAYOUT, name, selection, cameras, splits, images, files, vertices, blended, mask_above=127)
 
 
 def _splits(folder: Path, selection: Selection, names: list[str], numbers: Sequence[int]) -> dict[str, Split]:
     if len(numbers) <= FRAMES:
-        raise InputError(folder, f"{len(numbers)} frames with a fit", f"more than {FRAMES}, to train on, and then those of novel poses")
+        raise InputError(folder, f"{len(numbers)} frames with a fit",
+                         f"more than {FRAMES}: those for training, then novel poses")
     train, test = _spread(names)
     return selection.splits(names, train, test, numbers[:FRAMES], numbers[FRAMES : 2 * FRAMES])
 
 
 def _spread(names: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Ten and five of the cameras, spread evenly: of fifteen, every third is for testing."""
+    """Ten cameras for training and five for testing, spread evenly: of fifteen, every third is for
+    testing.
+    """
     count = TRAIN_CAMERAS + TEST_CAMERAS
     if len(names) < count:
         return list(names), list(names)
@@ -73,7 +87,7 @@ def _spread(names: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _file(stem: Path, usual: str, other: str) -> Path:
-    """The file with the other suffix where it is there, else that with the usual one."""
+    """The file with the other suffix if it exists, else the one with the usual suffix."""
     file = stem.with_name(stem.name + other)
     return file if file.is_file() else stem.with_name(stem.name + usual)
 

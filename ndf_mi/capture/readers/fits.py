@@ -1,6 +1,8 @@
-"""SMPL as it was fitted to ZJU-MoCap: ``params/I.npy`` with ``poses``, ``shapes``, ``Rh``, ``Th``, and ``vertices/I.npy``.
+"""SMPL fitted to ZJU-MoCap: ``params/I.npy`` with ``poses``, ``shapes``, ``Rh``, ``Th``, and
+``vertices/I.npy``.
 
-V = R(Rh)·X(θ, β) + Th with θ[:3] = 0, R about the world's origin: the convention of `ndf_mi.body.poses.Poses` as it stands.
+V = R(Rh)·X(θ, β) + Th with θ[:3] = 0 and R about the world's origin, which is the convention of
+`ndf_mi.body.poses.Poses`.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ class Fits:
     Attributes:
         pose: (T, 24, 3), the root's entry zero.
         root_rotation, translation: (T, 3).
-        shape: (B,), the mean over the fits, which are of one performer.
+        shape: (B,), the mean over the fits, which all belong to one performer.
     """
 
     pose: np.ndarray
@@ -35,16 +37,18 @@ class Fits:
     shape: np.ndarray
 
     def turned(self, turn: np.ndarray) -> Fits:
-        """The same in a world turned by ``turn``, (3, 3)."""
+        """The same fits in a world rotated by ``turn``, (3, 3)."""
         root = Rotation.from_matrix(turn) * Rotation.from_rotvec(self.root_rotation)
         return replace(self, root_rotation=root.as_rotvec(), translation=self.translation @ turn.T)
 
     def upright(self) -> np.ndarray:
-        """(3, 3): turns the world by quarters so that y is up. Up is the axis nearest to the performer's own, on the mean."""
+        """(3, 3) rotation by quarter turns that makes y point up. Up is the axis nearest to the performer's
+        mean up.
+        """
         up = Rotation.from_rotvec(self.root_rotation).as_matrix()[:, :, 1].mean(0)
         axis = int(np.abs(up).argmax())
         old = np.sign(up[axis]) * np.eye(3)[axis]
-        # Rodrigues' formula for the rotation that takes one unit vector to another, both along axes.
+        # Rodrigues' formula for the rotation from one unit vector to another, both along axes.
         new = np.array([0.0, 1.0, 0.0])
         if old @ new < 0:
             return np.diag([1.0, -1.0, -1.0])
@@ -54,31 +58,33 @@ class Fits:
 
 
 def read_fits(files: Sequence[Path]) -> Fits:
-    """Reads fits, one a file.
+    """Reads fits, one from each file.
 
     Raises:
-        InputError: a file is missing, damaged or lacks a key; a number isn't finite; a pose has a length that isn't SMPL's (72, or
-            69 without the root) or turns its root.
+        InputError: a file is missing, damaged or lacks a key; a number is not finite; or a pose does not have
+            SMPL's length (72, or 69 without the root), or turns its root.
     """
     parts = [_read(file) for file in files]
     shapes = {len(part[3]) for part in parts}
     if len(shapes) != 1:
-        raise InputError(f"{files[0]}: shapes", f"{sorted(shapes)} coefficients from fit to fit", "one number of them")
+        raise InputError(f"{files[0]}: shapes", f"{sorted(shapes)} coefficients from fit to fit",
+                         "the same number in each fit")
     pose, root, translation, shape = (np.stack(column) for column in zip(*parts, strict=True))
     return Fits(pose, root, translation, shape.mean(0))
 
 
 def read_vertices(files: Sequence[Path]) -> np.ndarray:
-    """(T, V, 3) float32 posed vertices, one file a frame.
+    """(T, V, 3) float32 posed vertices, one file for each frame.
 
     Raises:
-        InputError: a file is missing or damaged, or of another shape than the first.
+        InputError: a file is missing, damaged, or of another shape than the first.
     """
     found: list[np.ndarray] = []
     for file in files:
         count = len(found[0]) if found else None
         array = arrays.regular(f"{file}", unpickle.load_npy(file))
-        found.append(arrays.floats(f"{file}", array[0] if array.ndim == 3 and len(array) == 1 else array, (count, 3)))
+        found.append(arrays.floats(f"{file}", array[0] if array.ndim == 3 and len(array) == 1 else array,
+                                   (count, 3)))
     return np.stack(found)
 
 
@@ -89,8 +95,9 @@ def _read(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     found = {}
     for key in ("poses", "shapes", "Rh", "Th"):
         if key not in held:
-            raise InputError(f"{file}: {key}", f"only {', '.join(map(str, held)) or 'nothing'}", f"an array {key!r}")
-        # Checked as float32, which is what it becomes; kept in double precision, since the world is turned before.
+            raise InputError(f"{file}: {key}", f"only {', '.join(map(str, held)) or 'nothing'}",
+                             f"an array {key!r}")
+        # Checked as float32, but kept in double precision until the world is rotated.
         numbers = arrays.regular(f"{file}: {key}", held[key]).ravel()
         arrays.floats(f"{file}: {key}", numbers, (None,))
         found[key] = numbers.astype(np.float64)
@@ -98,9 +105,9 @@ def _read(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     if pose.size == 3 * (JOINTS - 1):
         pose = np.concatenate([np.zeros(3), pose])
     if pose.size != 3 * JOINTS:
-        raise InputError(f"{file}: poses", f"{pose.size} numbers", "72, or 69 without the root's, as SMPL has")
+        raise InputError(f"{file}: poses", f"{pose.size} numbers", "SMPL's 72, or 69 without the root")
     if np.abs(pose[:3]).max() > 1e-6:
-        expected = "zeros: the whole body turns by Rh, about the world's origin"
+        expected = "zeros, since Rh turns the whole body about the world's origin"
         raise InputError(f"{file}: poses", f"{pose[:3].round(4).tolist()} for the root", expected)
     pose[:3] = 0
     for key in ("Rh", "Th"):

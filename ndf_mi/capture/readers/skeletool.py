@@ -1,6 +1,6 @@
-"""Camera calibrations as text, as DynaCap's are written ("Skeletool Camera Calibration File").
+"""Camera calibrations as text, DynaCap's format ("Skeletool Camera Calibration File").
 
-A line with a title, then for each camera a block of lines, of which these are read; matrices stand row by row::
+A title, then a block of lines for each camera, of which these are read; matrices are row by row::
 
     name       0
       size       1285 940
@@ -24,29 +24,33 @@ _NUMBERS = {"size": 2, "intrinsic": 16, "extrinsic": 16}
 
 
 def read_calibrations(path: Path) -> dict[str, Calibration]:
-    """The cameras by name, in the file's order. Radial distortion is refused: what its numbers mean isn't known here.
+    """The cameras by name, in the file's order. Radial distortion is refused, since the meaning of its
+    numbers is unknown.
 
     Raises:
-        InputError: the file is missing, no such text, or a block lacks something; the message names the camera.
+        InputError: the file is missing or not such a text, or a block lacks something; the message names the
+            camera.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except FileNotFoundError:
         raise InputError(path, "no such file", "the cameras' calibrations") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"no text ({error})", "the cameras' calibrations") from None
+        found = f"a file that cannot be read as text ({error})"
+        raise InputError(path, found, "the cameras' calibrations") from None
     blocks: dict[str, dict[str, list[str]]] = {}
     block: dict[str, list[str]] = {}
     for line in lines:
         key, *values = line.split() or [""]
         if key == "name" and values:
             if values[0] in blocks or not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*", values[0]):
-                raise InputError(path, f"a camera named {values[0]!r}", "names of letters and digits, each once")
+                raise InputError(path, f"a camera named {values[0]!r}",
+                                 "names of letters and digits, each once")
             block = blocks[values[0]] = {}
         else:
             block[key] = values
     if not blocks:
-        raise InputError(path, "no camera", "blocks that begin with a line `name NAME`")
+        raise InputError(path, "no camera", "blocks that start with a line `name NAME`")
     return {name: _calibration(f"{path}: camera {name}", name, block) for name, block in blocks.items()}
 
 
@@ -58,9 +62,11 @@ def _calibration(where: str, name: str, block: dict[str, list[str]]) -> Calibrat
         except ValueError:
             numbers[key] = np.empty(0)
         if numbers[key].size != count:
-            raise InputError(f"{where}: {key}", " ".join(block.get(key, ()))[:60] or "nothing", f"{count} numbers")
+            raise InputError(f"{where}: {key}", " ".join(block.get(key, ()))[:60] or "nothing",
+                             f"{count} numbers")
     if any(value != "0" for value in block.get("radial", ())):
-        raise InputError(f"{where}: radial", " ".join(block["radial"])[:60], "0, images without distortion")
+        raise InputError(f"{where}: radial", " ".join(block["radial"])[:60],
+                         "0, for images without distortion")
     width, height = numbers["size"]
     if width < 1 or height < 1 or width % 1 or height % 1:
         raise InputError(f"{where}: size", " ".join(block["size"]), "whole numbers of pixels")

@@ -1,7 +1,7 @@
 """ZJU-MoCap (Peng et al. 2021, Neural Body): nine subjects, in the layout of `annotated`.
 
-Which frames and cameras are trained on and which are held out is that of Neural Body and of the field's paper: training cameras
-0, 6, 12 and 18, all others tested; every 30th frame of the held-out splits.
+Frames and cameras are split as in Neural Body and NDF: cameras 0, 6, 12 and 18 for training, all others for
+testing; every 30th frame of the held-out splits.
 """
 
 from __future__ import annotations
@@ -16,21 +16,22 @@ from ndf_mi.errors import InputError
 
 LAYOUT = "zju"
 TRAIN_CAMERAS = (0, 6, 12, 18)
-"""Their places in the file's order; all others are tested."""
+"""Indices in the file's order; all others are for testing."""
 SIZE = (1024, 1024)
-"""The size that the calibrations belong to; images of another size are resized to it first."""
+"""The image size of the calibrations; images of another size are resized to it first."""
 SCALE = 0.5
-"""Size of the images that the publications train on to `SIZE`."""
+"""Size of the images that the publications train on, relative to `SIZE`."""
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A subject's peculiarities.
+    """The frames of a subject.
 
     Attributes:
-        train: rows of ``annots.npy`` that are trained on, and shown from novel views.
-        novel_pose: rows of novel poses.
-        part: which part of an image's name, split at underscores, is the frame's number; None where the whole stem is.
+        train: rows of ``annots.npy`` for training and for novel views.
+        novel_pose: rows for novel poses.
+        part: index of the part of an image's name, split at underscores, that is the frame's number; None for
+            the whole stem.
     """
 
     train: range
@@ -38,7 +39,7 @@ class Subject:
     part: int | None = None
 
     def number(self, name: str) -> int:
-        """The frame's number in an image's file name; ValueError or IndexError where there is none."""
+        """The frame's number in an image's file name; raises ValueError or IndexError if it has none."""
         return int(Path(name).stem if self.part is None else name.split("_")[self.part])
 
 
@@ -53,7 +54,9 @@ SUBJECTS = {
     "393": Subject(range(300), range(300, 558)),
     "394": Subject(range(300), range(300, 859)),
 }
-"""By the number in the folder's name, ``CoreView_313`` and so on. 313 and 315 count frames from 1, the others from 0."""
+"""Subjects by the number in the folder's name, such as ``CoreView_313``. 313 and 315 count frames from 1,
+others from 0.
+"""
 
 
 def read_zju(
@@ -63,17 +66,17 @@ def read_zju(
     fits: str | None = None,
     size: tuple[int, int] | None = SIZE,
 ) -> Source:
-    """Finds what is to be imported of a subject's folder; images are not opened.
+    """Finds the files to import in the folder of a subject; does not open images.
 
     Args:
         folder: ``…/CoreView_377``.
-        subject: one of `SUBJECTS`; None reads it from the folder's name.
-        selection: frames and cameras; None for the layout's own.
-        fits: ``new_params`` or ``params``; None takes the first of these that is there.
-        size: w, h of the images that the calibrations belong to; None for that of the files.
+        subject: one of `SUBJECTS`; by default read from the folder's name.
+        selection: frames and cameras; by default the protocol's.
+        fits: ``new_params`` or ``params``; by default the first of these that exists.
+        size: w, h of the images that the calibrations belong to; None for the size of the files.
 
     Raises:
-        InputError: no such subject; or annotations or files are missing or damaged.
+        InputError: no such subject; annotations or files are missing or damaged.
     """
     folder, selection = Path(folder), selection or Selection()
     key = subject if subject is not None else _guess(folder)
@@ -93,6 +96,6 @@ def read_zju(
 def _guess(folder: Path) -> str:
     found = [number for number in re.findall(r"\d+", folder.resolve().name) if number in SUBJECTS]
     if len(found) != 1:
-        repair = f"name the subject: --subject {'|'.join(SUBJECTS)}"
-        raise InputError(folder, "a folder's name that tells no subject", "a name such as CoreView_377", repair)
+        repair = f"Name the subject with --subject {'|'.join(SUBJECTS)}."
+        raise InputError(folder, "a folder name without a subject", "a name such as CoreView_377", repair)
     return found[0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.camera import Camera, look_at
 
 _RADIUS = 3.2
 _HEIGHT = 1.15
@@ -15,10 +15,11 @@ _FREE = 0.04
 
 
 def camera_ring(count: int, pixels: int, vertices: np.ndarray, seed: int) -> dict[str, Camera]:
-    """``count`` square cameras of ``pixels`` by ``pixels``, evenly around the y axis, that see all of the performer always.
+    """``count`` square cameras of ``pixels`` by ``pixels``, evenly around the y axis, that see all of the
+    performer always.
 
-    Heights, distances and aims vary a little with ``seed``. Each camera's focal length is the largest with which the
-    clothed body stays in the image.
+    Heights, distances and aims vary a little with ``seed``. Each camera's focal length is the largest with
+    which the clothed body stays in the image.
 
     Args:
         vertices: (T, V, 3) the posed bodies, metres.
@@ -30,9 +31,11 @@ def camera_ring(count: int, pixels: int, vertices: np.ndarray, seed: int) -> dic
     for i in range(count):
         angle = 2 * np.pi * i / count
         radius = _RADIUS + random.uniform(-0.1, 0.1)
-        position = np.array([radius * np.sin(angle), _HEIGHT + random.uniform(-0.2, 0.25), radius * np.cos(angle)])
+        position = np.array([radius * np.sin(angle), _HEIGHT + random.uniform(-0.2, 0.25),
+                             radius * np.cos(angle)])
         target = np.array([0.0, middle[1], 0.0]) + random.uniform(-0.02, 0.02, 3)
-        camera = Camera(f"cam{i:02d}", pixels, pixels, 1.0, 1.0, pixels / 2, pixels / 2, _look_at(position, target))
+        camera = Camera(f"cam{i:02d}", pixels, pixels, 1.0, 1.0, pixels / 2, pixels / 2,
+                        look_at(position, target))
         reach = np.abs(camera.project(points) - pixels / 2).max()
         focal = pixels * (0.5 - _FREE) / reach
         cameras[camera.name] = Camera(
@@ -47,18 +50,9 @@ def evenly(names: list[str], count: int) -> tuple[str, ...]:
 
 
 def _outline(vertices: np.ndarray) -> np.ndarray:
-    """Points that bound the clothed bodies: every vertex moved by the clothes' thickness along each axis, thinned out."""
+    """Points that bound the clothed bodies: every vertex moved by the clothes' thickness along each axis,
+    thinned out.
+    """
     thin = vertices[:, ::16].reshape(-1, 3)
     shifts = np.concatenate([np.eye(3), -np.eye(3)]) * _CLOTHES
     return (thin[:, None] + shifts).reshape(-1, 3)
-
-
-def _look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(4, 4) camera-to-world in OpenGL's axes, y up."""
-    back = position - target
-    back /= np.linalg.norm(back)
-    right = np.cross([0.0, 1.0, 0.0], back)
-    right /= np.linalg.norm(right)
-    transform = np.eye(4)
-    transform[:3] = np.stack([right, np.cross(back, right), back, position], axis=1)
-    return transform

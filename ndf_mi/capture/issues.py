@@ -1,4 +1,4 @@
-"""Collects what is wrong with a JSON file, key by key, where raising would stop at the first."""
+"""Collects all issues of a JSON file, where raising an error would stop at the first."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from ndf_mi.json_input import is_finite, shown
 
 
 @dataclass
-class Faults:
-    """Collects what is wrong with one file, key by key."""
+class Issues:
+    """The issues of one file."""
 
     file: Path
     found: list[InputError] = field(default_factory=list)
 
     def add(self, key: str, found: str, expected: str, repair: str = "") -> None:
+        """Adds an issue with the value of a key, or with the whole file if the key is empty."""
         self.found.append(InputError(f"{self.file}: {key}" if key else self.file, found, expected, repair))
 
     def number(self, value: Any, key: str, low: float = -math.inf, high: float = math.inf) -> float | None:
-        """``value`` as a finite float within [low, high], or None with the fault noted."""
+        """``value`` as a finite float within [low, high]; otherwise None, with an issue added."""
         if not is_finite(value):
             self.add(key, shown(value), "a finite number")
         elif not low <= value <= high:
@@ -31,7 +32,15 @@ class Faults:
             return float(value)
         return None
 
+    def whole(self, value: Any, key: str, expected: str) -> int:
+        """``value`` as a whole number above 0; otherwise 1, with an issue added."""
+        if type(value) is int and value > 0:
+            return value
+        self.add(key, shown(value), expected)
+        return 1
+
     def text(self, value: Any, key: str) -> str | None:
+        """``value`` if it is text and not empty; otherwise None, with an issue added."""
         if isinstance(value, str) and value:
             return value
         self.add(key, shown(value), "a string")
