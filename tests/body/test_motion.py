@@ -150,7 +150,7 @@ def test_a_rig_of_its_own(small: Body) -> None:
     assert np.abs([posed_joints(body, treadmill, row)["pelvis"][[0, 2]] for row in range(6)]).max() < 1e-5
     np.testing.assert_allclose(np.ptp(centre, axis=0), np.ptp(motion.translation, axis=0), atol=1e-5)
     flat = dataclasses.replace(clip, positions=0 * positions, offsets=0 * offsets)
-    with pytest.raises(InputError, match="clip own: found bones without any length"):
+    with pytest.raises(InputError, match="clip own: found bones of no length"):
         retarget(body, flat)
 
 

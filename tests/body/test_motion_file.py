@@ -148,7 +148,7 @@ def test_refuses(small: Body, poses: Poses, tmp_path: Path) -> None:
     refused(r"pose: .*\(5, 3, 3\); expected \(T, 4, 3\), the run's joints: pelvis, chest, arm, leg", pose=pose[:, :3])
     refused("frames: found no frame|at least one", **{k: v[:0] for k, v in spoilt(poses).items() if k != "shape"})
     dataclasses.replace(small, joint_names=("pelvis", "chest", "wing", "leg")).write(tmp_path / "body.npz")
-    refused(r"pose: found no arm \(but wing\), by the body beside it; expected the joints of the run's body")
+    refused(r"pose: found no arm \(but wing\).*; expected the joints of the run's body")
     (tmp_path / "body.npz").unlink()
     bare = Body(small.faces, small.uv, small.uv_faces)
     with pytest.raises(InputError, match="which has no model"):
@@ -156,7 +156,7 @@ def test_refuses(small: Body, poses: Poses, tmp_path: Path) -> None:
         read_performance(tmp_path / "poses.npz", bare, dataclasses.replace(poses, vertices=poses.vertices[:, :39]))
     with pytest.raises(InputError, match="no skinning model"):
         read_performance("walk", bare, poses)
-    with pytest.raises(InputError, match="AMASS-like file only"):
+    with pytest.raises(InputError, match="AMASS-like file"):
         read_performance("walk", small, poses, up="y")
 
 

@@ -155,7 +155,7 @@ def test_texels_of_an_obj_in_another_order(tmp_path: Path) -> None:
 def test_without_a_uv_file_the_body_gets_one_chart(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(1)
     held = model()
-    held["f"] = ball.faces.astype(np.uint32)
+    held["f"] = np.array(ball.faces, dtype=np.uint32)
     held["v_template"][: len(ball.vertices)] = ball.vertices
     body = load_smpl(write(tmp_path / "smpl.pkl", held))
     report = check_atlas(body.template, body.faces, Atlas(body.uv, body.uv_faces))
