@@ -1,4 +1,6 @@
-"""A chin-length bob with a fringe: strands that follow the head's convex hull from the crown and then fall."""
+"""A chin-length bob with a fringe: strands that follow the head's convex hull from the crown and then
+fall.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,8 @@ from ndf_mi.capture.synthesise import paint
 from ndf_mi.capture.synthesise.layers import Layer, Sheet, rise, waves
 
 _AROUND, _OVER, _DOWN = 144, 36, 22
-#: Heights over the eyes, metres, of the head's part that the hair follows, of the fringe's end and of the other tips.
+#: Heights above the eyes, metres: of the lowest part of the head that the hair follows, of the fringe's end,
+#: of the other tips.
 _SCALP, _FRINGE, _TIPS = -0.02, 0.034, -0.095
 
 
@@ -19,7 +22,7 @@ def make_hair(naked: Sheet, eyes: np.ndarray, head: int) -> Layer:
     Args:
         naked: the body.
         eyes: (2, 3) centres of the eyeballs.
-        head: index of the joint that carries it.
+        head: index of the joint that carries the hair.
     """
     middle = eyes.mean(axis=0)
     crown = middle + [0, 0.03, -0.085]
@@ -46,18 +49,22 @@ def make_hair(naked: Sheet, eyes: np.ndarray, head: int) -> Layer:
     ripple = 0.0018 * np.sin(31 * around + 1.5 * waves(rest, 0.12, 62)) + 0.0012 * np.sin(67 * around)
     grown = rest + (thickness + ripple + 0.0018 * locks)[:, None] * sheet.normals
     end = _TIPS + (_FRINGE - _TIPS) * rise(away, 1.12, 0.86) + 0.004 * locks
-    # Below the fringe and before the ears there is the face.
+    # The face is below the fringe and in front of the ears.
     sheet = Sheet(grown, np.zeros((len(rest), 1)), sheet.uv, sheet.faces).clipped(height - end)
     weights = np.zeros((len(sheet.rest), naked.weights.shape[1]))
     weights[:, head] = 1
     colour = paint.hair(sheet.rest, crown)
-    return Layer("hair", "hair", sheet.faces, sheet.rest, weights, colour, np.zeros(len(sheet.rest)), None, None)
+    return Layer("hair", "hair", sheet.faces, sheet.rest, weights, colour, np.zeros(len(sheet.rest)), None,
+                 None)
 
 
 def _grid_faces(rows: int, columns: int) -> np.ndarray:
-    """Triangles, outward, of a grid of ``rows`` from the crown down, closed around; the hole at the crown is closed by a fan."""
+    """Triangles, outward, of a grid that is closed around, with ``rows`` from the crown down; a fan closes
+    the crown.
+    """
     a = np.arange(rows - 1)[:, None] * columns + np.arange(columns)
     b = np.arange(rows - 1)[:, None] * columns + (np.arange(columns) + 1) % columns
-    quads = np.concatenate([np.stack([a, a + columns, b], axis=-1), np.stack([b, a + columns, b + columns], axis=-1)])
+    quads = np.concatenate([np.stack([a, a + columns, b], axis=-1),
+                            np.stack([b, a + columns, b + columns], axis=-1)])
     ring = np.arange(1, columns - 1)
     return np.concatenate([quads.reshape(-1, 3), np.stack([0 * ring, ring, ring + 1], axis=-1)])

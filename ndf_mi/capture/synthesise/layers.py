@@ -1,19 +1,18 @@
-"""The performer's layers of surface, colour and skinning weight at every vertex, and the tools that make them."""
+"""The surface layers of the performer, with colours and skinning weights at the vertices, and tools to make
+them.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ndf_mi.body.anny import Garment
 from ndf_mi.body.body import Body
 from ndf_mi.body.mesh import vertex_normals
+from ndf_mi.capture.synthesise.folds import Folds
 from ndf_mi.capture.synthesise.surface import averaging, clip, loop_subdivision
-
-if TYPE_CHECKING:
-    from ndf_mi.capture.synthesise.wrinkles import Folds
 
 
 @dataclass(frozen=True)
@@ -21,15 +20,15 @@ class Layer:
     """One surface of the performer at rest, N vertices and F triangles.
 
     Attributes:
-        name: for people.
+        name: for messages.
         material: a key of ``lighting.MATERIALS``.
         faces: (F, 3) int32.
-        rest: (N, 3) metres, dressed: the standoff is in it.
+        rest: (N, 3) metres, including the distance from the body.
         weights: (N, J) skinning weights.
         colour: (N, 3) linear reflectance in [0, 1].
-        slack: (N,) metres by which the layer sinks where it hangs from a limb that leaves the vertical.
-        folds: its wrinkles, displacements along the normal; None for what has none.
-        clearance: metres that every vertex keeps from the body, or None for what may touch it.
+        slack: (N,) metres by which the layer sinks where it hangs from a limb that is not vertical.
+        folds: its wrinkles, displacements along the normal, or None.
+        clearance: least distance of every vertex from the body, metres; None if it may touch the body.
     """
 
     name: str
@@ -45,7 +44,9 @@ class Layer:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A refined piece of a skinned surface before it becomes a layer: (N, 3) rest, (N, J) weights, (N, 2) UVs, faces."""
+    """A piece of a skinned surface before it becomes a layer: (N, 3) rest vertices, (N, J) weights, (N, 2)
+    UVs, faces.
+    """
 
     rest: np.ndarray
     weights: np.ndarray
@@ -54,7 +55,7 @@ class Sheet:
 
     @classmethod
     def of(cls, source: Garment | Body, shape: np.ndarray) -> Sheet:
-        """The surface at the shape coefficients ``shape``; where UVs have seams a vertex takes one of its own."""
+        """The surface at the shape coefficients ``shape``; at UV seams a vertex gets one of its UVs."""
         assert source.template is not None and source.weights is not None and source.shape_dirs is not None
         rest = source.template + source.shape_dirs @ shape
         uv = np.zeros((len(rest), 2))
@@ -75,7 +76,9 @@ class Sheet:
         return Sheet(matrix @ self.rest, matrix @ self.weights, matrix @ self.uv, faces)
 
     def eased(self, positions: int, weights: int) -> Sheet:
-        """Averaged so many times: cloth bridges the body's hollows and bends over a longer stretch than the body."""
+        """Positions and weights averaged so many times: cloth bridges hollows of the body and bends over
+        longer stretches.
+        """
         mean = averaging(self.faces, len(self.rest))
         rest, blend = self.rest, self.weights
         for _ in range(positions):
@@ -86,20 +89,20 @@ class Sheet:
 
 
 class Frame:
-    """Limb coordinates of rest points on one body: where along and around an arm, a leg or the trunk a point lies.
+    """Limb coordinates of rest points on a body: positions along and around arms, legs and trunk.
 
     Args:
-        body: the body, with ``joint_names``.
+        body: a body with ``joint_names``.
         shape: (B,) its shape coefficients.
         rest: (N, 3) points.
         weights: (N, J) their skinning weights.
 
     Attributes (all (N,)):
-        left: whether x > 0, the performer's left.
-        arm: sum of the weights of shoulderless arm joints.
+        left: whether x > 0, on the performer's left.
+        arm: sum of the weights of the arm's joints without the shoulder.
         arm_s: metres from the shoulder joint along the arm; arm_phi: angle around it.
-        elbow, wrist: what ``arm_s`` is there (scalars).
-        leg_phi: angle around the leg; trunk_phi: around the trunk, 0 in front, both with x to the left.
+        elbow, wrist: ``arm_s`` of these joints (scalars).
+        leg_phi: angle around the leg; trunk_phi: around the trunk; both 0 in front, growing towards the left.
         x, y, z: the coordinates, metres.
     """
 
@@ -118,7 +121,8 @@ class Frame:
         self.elbow = float(np.linalg.norm(upper))
         self.wrist = self.elbow + float(np.linalg.norm(lower))
         upper, lower = upper / np.linalg.norm(upper), lower / np.linalg.norm(lower)
-        self.arm_s = np.minimum((mirrored - shoulder) @ upper, self.elbow) + np.maximum((mirrored - elbow) @ lower, 0)
+        above = np.minimum((mirrored - shoulder) @ upper, self.elbow)
+        self.arm_s = above + np.maximum((mirrored - elbow) @ lower, 0)
         forward = np.array([0.0, 0.0, 1.0])
         beside = np.cross(upper, forward)
         centre = shoulder + np.clip(self.arm_s, 0, self.elbow)[:, None] * upper
@@ -138,7 +142,9 @@ def rise(values: np.ndarray, start: float, end: float) -> np.ndarray:
 
 
 def waves(points: np.ndarray, wavelength: float, seed: int, count: int = 24) -> np.ndarray:
-    """(N,) smooth noise of about unit deviation: a sum of plane waves of random directions around ``wavelength`` metres."""
+    """(N,) smooth noise with about unit deviation: a sum of plane waves of random directions around
+    ``wavelength`` metres.
+    """
     random = np.random.default_rng(seed)
     directions = random.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

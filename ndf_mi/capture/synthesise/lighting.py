@@ -1,4 +1,4 @@
-"""The lights of synthetic captures, each a soft sky with broad lamps, and the materials that they fall on."""
+"""The lights of synthetic captures, soft skies with broad lamps, and the materials of the performer."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ class Light:
 
     Attributes:
         sky: at the horizon.
-        zenith: added to it towards the zenith.
+        zenith: added towards the zenith.
         ground: below the horizon.
-        lamps: for each, the direction towards it, its angular width in radians and the radiance at its middle.
-        carried: whether it turns with the performer's hips, as seen by cameras that circle a performer who stands in a room.
-        flat: whether there is none, and surfaces show their reflectance from everywhere alike.
+        lamps: for each lamp, its direction, its angular width in radians and the radiance in its middle.
+        carried: whether the light turns with the performer's hips, as if the cameras moved around a performer
+            in a room.
+        flat: whether there is no light, and surfaces show their reflectance in all directions.
     """
 
     sky: Colour
@@ -41,7 +42,7 @@ class Light:
 
     @property
     def constant(self) -> bool:
-        """Whether one scene describes it for all frames."""
+        """Whether one scene describes the light in all frames."""
         return not (self.carried or self.flat)
 
 
@@ -56,7 +57,8 @@ _STUDIO = Light(
     ),
 )  # fmt: skip
 
-#: By name. `evening` has its key light low on the other side and orange, under a sky of a quarter of the brightness.
+#: By name. In `evening` the key light is orange, low and on the other side, and the sky has a quarter of the
+#: brightness.
 LIGHTS = {
     DEFAULT: _STUDIO,
     "carried": replace(_STUDIO, carried=True),
@@ -75,7 +77,7 @@ def light(name: str) -> Light:
     """The light of that name.
 
     Raises:
-        InputError: there is none; those that there are are named.
+        InputError: no such light; the message lists the existing ones.
     """
     if name not in LIGHTS:
         raise InputError("--light", repr(name), f"one of {', '.join(LIGHTS)}")
@@ -101,12 +103,14 @@ def environment(name: str = DEFAULT) -> np.ndarray:
 
 
 def emitter(name: str = DEFAULT) -> dict[str, Any]:
-    """A light as the dictionary of a Mitsuba emitter."""
+    """A light as a dictionary for a Mitsuba emitter."""
     return {"type": "envmap", "bitmap": mi.Bitmap(environment(name))}
 
 
 def write(folder: Path, name: str = DEFAULT) -> str:
-    """Writes a light as a Mitsuba scene with its image into ``folder``; returns the scene's file name."""
+    """Writes a light as a Mitsuba scene with its image into ``folder``; returns the name of the scene
+    file.
+    """
     with replacing(folder / ENVIRONMENT) as beside:
         mi.Bitmap(environment(name)).write(str(beside))
     write_text(
@@ -127,7 +131,8 @@ def _glossy(roughness: float, specular: float, twosided: bool) -> dict[str, Any]
     return {"type": "twosided", "bsdf": bsdf} if twosided else bsdf
 
 
-#: BSDFs by material; each takes its colour from the mesh attribute ``vertex_color``. Open surfaces are seen from inside too.
+#: BSDFs by material, coloured by the mesh attribute ``vertex_color``. Open surfaces are visible from inside
+#: too.
 MATERIALS: dict[str, dict[str, Any]] = {
     "cloth": {
         "type": "twosided",

@@ -1,4 +1,6 @@
-"""What a synthetic performer wears and does, apart from how much of it is shown: each choice adds or takes away one thing to model."""
+"""The choices that make a synthetic performer easier or harder to model: motion, clothes, folds and
+materials.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,16 @@ CHOICES = {
 
 @dataclass(frozen=True)
 class Look:
-    """Choices; the defaults are the performer of the sizes' table.
+    """The choices; the defaults make the standard performer.
 
     Attributes:
-        motion: of the training frames. `clips`: walking and climbing; `turn`: one pose, turned around the vertical once over the frames;
-            `still`: one pose that never moves.
-        clothes: `loose` stand off by centimetres; `tight` lie within 12 mm of the body, and the head is shaved.
+        motion: in the training frames. `clips`: walking and climbing; `turn`: one pose that turns once around
+            the vertical; `still`: one pose.
+        clothes: `loose` clothes are centimetres away from the body; `tight` ones are within 12 mm, without
+            hair.
         folds: whether cloth folds with the pose.
-        surface: `mixed`: diffuse cloth, and glossy skin, hair and shoes; `matte`: all of it diffuse; `glossy`: all of it shines.
+        surface: `mixed`: diffuse cloth with glossy skin, hair and shoes; `matte`: everything is diffuse;
+            `glossy`: everything is glossy.
     """
 
     motion: str = "clips"
@@ -32,11 +36,11 @@ class Look:
     surface: str = "mixed"
 
     def __post_init__(self) -> None:
-        """Raises InputError at the first choice that there is not."""
+        """Raises InputError at the first unknown choice."""
         for name, known in CHOICES.items():
             if getattr(self, name) not in known:
                 raise InputError(f"--{name}", repr(getattr(self, name)), f"one of {', '.join(known)}")
 
     def changes(self) -> dict[str, Any]:
-        """What differs from the default, by name."""
+        """The choices that differ from the default, by name."""
         return {name: value for name, value in vars(self).items() if value != getattr(type(self), name)}

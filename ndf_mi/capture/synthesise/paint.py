@@ -1,4 +1,6 @@
-"""Colours of cloth, skin, hair and eyes as linear reflectance at rest points: patterns a few centimetres in size."""
+"""Colours of cloth, skin, hair and eyes: linear reflectance at rest points, with patterns of a few
+centimetres.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,14 @@ def tone(*srgb: int) -> np.ndarray:
 
 
 def over(colour: np.ndarray, paint: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """``colour`` (N, 3) covered by ``paint`` (3,) or (N, 3) where ``share`` (N,) in [0, 1] is 1."""
+    """``colour`` (N, 3) blended with ``paint``, (3,) or (N, 3), by the opacity ``share``, (N,) in [0, 1]."""
     return colour + (paint - colour) * share[:, None]
 
 
 def stripe(turns: np.ndarray, width: float) -> np.ndarray:
-    """1 within ``width`` (a share of the period) around each whole number of ``turns``, soft at the sides."""
+    """1 within ``width`` (a fraction of the period) around each whole number of ``turns``, with soft
+    edges.
+    """
     distance = np.abs(turns - np.round(turns))
     return rise(distance, width / 2 + 0.04, width / 2 - 0.04)
 
@@ -48,7 +52,9 @@ def borders(colour: np.ndarray, rim: np.ndarray) -> np.ndarray:
 
 
 def trousers(frame: Frame, rest: np.ndarray, hem: float) -> np.ndarray:
-    """Denim: fine pale stripes along the leg, seams, pale knees and thighs, turned-up cuffs, weave-like mottling."""
+    """Denim: fine pale stripes along the leg, seams, pale knees and thighs, turned-up cuffs, a mottled
+    weave.
+    """
     colour = np.tile(tone(52, 72, 112), (len(rest), 1))
     colour = colour * (1 + 0.16 * waves(rest, 0.05, 21))[:, None].clip(0.5, 1.6)
     colour = over(colour, tone(120, 140, 175), 0.5 * stripe(12 * frame.leg_phi / (2 * np.pi), 0.18))
@@ -70,12 +76,12 @@ def shoes(rest: np.ndarray) -> np.ndarray:
 
 
 def skin(rest: np.ndarray, eyes: np.ndarray, lips: np.ndarray) -> np.ndarray:
-    """A face: mottled skin, flushed cheeks and nose, brows, dark lids, ``lips`` (N,) share of lip; hands a little redder.
+    """A face: mottled skin, flushed cheeks and nose, brows, dark lids, lips.
 
     Args:
         rest: (N, 3) rest points.
         eyes: (2, 3) centres of the eyeballs.
-        lips: (N,) in [0, 1].
+        lips: (N,) opacity of the lips, in [0, 1].
     """
     colour = np.tile(tone(206, 152, 122), (len(rest), 1))
     colour = colour * (1 + 0.05 * waves(rest, 0.04, 31) + 0.05 * waves(rest, 0.015, 32))[:, None]
@@ -89,7 +95,8 @@ def skin(rest: np.ndarray, eyes: np.ndarray, lips: np.ndarray) -> np.ndarray:
         colour = over(colour, tone(208, 98, 82), 0.45 * cheek)
         across = (rest[:, 0] - eye[0]) * side
         arch = 0.021 - 6.0 * (across - 0.006) ** 2
-        brow = rise(np.abs(rest[:, 1] - eye[1] - arch), 0.0055, 0.0030) * rise(np.abs(across - 0.002), 0.026, 0.021)
+        brow = rise(np.abs(rest[:, 1] - eye[1] - arch), 0.0055, 0.0030) * rise(np.abs(across - 0.002), 0.026,
+                                                                               0.021)
         colour = over(colour, tone(48, 30, 22), 0.92 * brow * face)
         lid = rise(np.linalg.norm((rest - eye) * [1, 1.6, 0.6], axis=1), 0.026, 0.019)
         colour = over(colour, tone(92, 54, 46), 0.6 * lid * face)
@@ -98,15 +105,18 @@ def skin(rest: np.ndarray, eyes: np.ndarray, lips: np.ndarray) -> np.ndarray:
 
 
 def hair(rest: np.ndarray, crown: np.ndarray) -> np.ndarray:
-    """Strands: streaks that run from the crown (3,) down."""
+    """Strands: streaks from the crown, (3,), downwards."""
     around = np.arctan2(rest[:, 0] - crown[0], rest[:, 2] - crown[2])
-    streak = 0.5 * np.sin(37 * around + 1.5 * waves(rest, 0.12, 41)) + 0.5 * np.sin(83 * around + 2 * waves(rest, 0.1, 42))
+    wide = 0.5 * np.sin(37 * around + 1.5 * waves(rest, 0.12, 41))
+    streak = wide + 0.5 * np.sin(83 * around + 2 * waves(rest, 0.1, 42))
     colour = np.tile(tone(70, 42, 24), (len(rest), 1))
     return over(colour, tone(140, 92, 52), (0.32 + 0.3 * streak).clip(0, 1))
 
 
 def eye(directions: np.ndarray) -> np.ndarray:
-    """White, iris and pupil by the (N, 3) unit directions from the eyeball's centre; it looks along +z."""
+    """White, iris and pupil by (N, 3) unit directions from the centre of the eyeball, which looks along
+    +z.
+    """
     angle = np.arccos(np.clip(directions[:, 2], -1, 1))
     colour = np.tile(tone(235, 230, 225), (len(directions), 1))
     colour = over(colour, tone(70, 100, 90), rise(angle, 0.52, 0.46))

@@ -1,4 +1,4 @@
-"""The dressed performer in a pose: skinning, folds, sagging, and clothes pushed out of the body."""
+"""Poses the dressed performer: skins, folds and lowers the clothes, and pushes them out of the body."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from ndf_mi.capture.synthesise.surface import averaging
 from ndf_mi.capture.synthesise.wardrobe import dress
 from ndf_mi.capture.synthesise.wrinkles import Folds
 
-#: Largest distance, metres, by which a cloth vertex is moved to leave the body.
+#: Largest distance in metres by which a cloth vertex moves out of the body at once.
 _MOST_PUSH = 0.05
 
 
 class Performer:
-    """A body and the layers that it wears.
+    """A body with the layers that it wears.
 
     Args:
         body: Anny's body.
         shape: (B,) shape coefficients.
-        look: what it wears.
+        look: its clothes and materials.
 
     Attributes:
-        body, shape, layers: as given and made; all surfaces are in ``layers``, the naked body is not among them.
+        body, shape: as given.
+        layers: all visible surfaces; the naked body is not one of them.
     """
 
     def __init__(self, body: Body, shape: np.ndarray, look: Look = Look()) -> None:  # noqa: B008
@@ -67,7 +68,9 @@ class Performer:
 def _drape(
     layer: Layer, folds: Folds, vertices: np.ndarray, pose: dict[str, np.ndarray], down: np.ndarray
 ) -> np.ndarray:
-    """Lets cloth sink, ``down`` being the unit vector of gravity, where it lies on or hangs below a limb; then folds it."""
+    """Lowers cloth that lies on or hangs below a limb, along gravity's unit vector ``down``; then folds
+    it.
+    """
     normals = vertex_normals(vertices, layer.faces)
     hang = layer.slack * (normals @ down) ** 2
     return vertices + hang[:, None] * down + folds.displacement(pose)[:, None] * normals
@@ -76,7 +79,8 @@ def _drape(
 class _Outside:
     """Moves vertices out of the posed body, (V, 3) with (F, 3) faces.
 
-    The body is taken as the tangent plane of its nearest vertex, which is enough for vertices 1 to 2 cm apart.
+    The body is approximated by the tangent plane of its nearest vertex, which suffices for vertices 1 to 2 cm
+    apart.
     """
 
     def __init__(self, naked: np.ndarray, faces: np.ndarray) -> None:
@@ -85,12 +89,14 @@ class _Outside:
         self._tree = cKDTree(naked)
 
     def __call__(self, vertices: np.ndarray, clearance: float, mean: csr_matrix) -> np.ndarray:
-        """At least ``clearance`` metres outside; ``mean`` spreads the first move over neighbours, so that it leaves no dent."""
+        """Vertices at least ``clearance`` metres outside; ``mean`` spreads the first move over neighbours, to
+        avoid dents.
+        """
         push = self._push(vertices, clearance)
         for _ in range(4):
             push = mean @ push
         vertices = vertices + push
-        # Out of one limb may be into its neighbour, hence again.
+        # A move out of one limb may end in another, so it is repeated.
         for _ in range(3):
             vertices = vertices + self._push(vertices, clearance)
         return vertices

@@ -1,4 +1,4 @@
-"""What a synthetic capture consists of: sizes, motion and splits."""
+"""The settings of a synthetic capture: sizes, motion and splits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ndf_mi.capture.document import Split
 from ndf_mi.capture.synthesise.ring import evenly
 from ndf_mi.errors import InputError
 
-#: The clips whose poses are learnt from, and the one, unlike them, of the novel poses.
+#: The clips of the training poses, and the different one of the novel poses.
 TRAINING_CLIPS = ("walk", "climb")
 NOVEL_CLIP = "jump"
 #: First frame of the sequence in that clip: the run-up to the first jump, 20 to 35 mm a frame.
@@ -27,20 +27,21 @@ BUILD = {"height": 0.15, "muscle": 0.2, "sex": -0.1}
 
 @dataclass(frozen=True)
 class Settings:
-    """Everything that a synthetic capture follows from.
+    """The settings that define a synthetic capture.
 
     Attributes:
         pixels: width and height of the images.
         spp: samples a pixel.
-        cameras: how many stand in the ring.
-        train_cameras: how many of these, evenly spaced, are learnt from; the others are the novel views.
-        frames: how many frames are learnt from.
-        view_frames: how many of these, evenly spaced, the novel views show.
-        pose_frames: how many frames of the other motion are the novel poses.
-        pose_cameras: how many cameras, evenly spaced among the novel views where there are any, see the novel poses.
-        sequence_frames: how many successive frames at 30 Hz of the other motion, one of which may be a novel pose, the first of the
-            novel poses' cameras sees.
-        seed: of the cameras' placement and the renderer's sampling.
+        cameras: number of cameras in the ring.
+        train_cameras: number of these, evenly spaced, for training; the others are the novel views.
+        frames: number of training frames.
+        view_frames: number of these, evenly spaced, in the novel views.
+        pose_frames: number of frames of the other motion for novel poses.
+        pose_cameras: number of cameras of the novel poses, evenly spaced among those of the novel views, if
+            any.
+        sequence_frames: number of successive frames, at 30 Hz, of the other motion in the split ``sequence``,
+            seen by the first camera of the novel poses.
+        seed: of the placement of cameras and the sampling of the renderer.
     """
 
     pixels: int
@@ -55,7 +56,7 @@ class Settings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Raises InputError at the first number that can't be."""
+        """Raises InputError at the first number that is out of range."""
         for name, low, high in (
             ("pixels", 16, 4096),
             ("spp", 1, 16384),
@@ -70,7 +71,8 @@ class Settings:
         ):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"--{name.replace('_', '-')}", str(value), f"a whole number from {low} to {high}")
+                raise InputError(f"--{name.replace('_', '-')}", str(value),
+                                 f"a whole number from {low} to {high}")
 
 
 SIZES = {
@@ -83,7 +85,9 @@ SIZES = {
 
 
 def splits(settings: Settings, names: list[str]) -> dict[str, Split]:
-    """Cameras and frames of each split; training frames are numbered from 0, those of the novel poses and of the sequence follow."""
+    """Cameras and frames of each split: training frames from 0, then those of the novel poses and of the
+    sequence.
+    """
     train = evenly(names, settings.train_cameras)
     others = tuple(name for name in names if name not in train)
     frames = tuple(range(settings.frames))
@@ -107,20 +111,24 @@ def shape_of(body: Body) -> np.ndarray:
 
 
 def motion(body: Body, settings: Settings, kind: str = "clips") -> Poses:
-    """The posed body of every frame: evenly spaced times of the training clips, then of the novel one, then its sequence.
+    """The posed body in every frame: evenly spaced times of the training clips, of the novel one, then its
+    sequence.
 
-    The lowest point of every frame is at the height 0 and the hips are over the origin.
+    In every frame the lowest point is at height 0 and the hips are over the origin.
 
     Args:
-        kind: of the training frames, as in :class:`ndf_mi.capture.synthesise.look.Look`; all but `clips` hold the first one's pose.
+        kind: motion of the training frames, as in :class:`ndf_mi.capture.synthesise.look.Look`; all but
+            `clips` keep the pose of the first frame.
     """
     first = settings.frames - settings.frames // 2
-    counts = [(TRAINING_CLIPS[0], first), (TRAINING_CLIPS[1], settings.frames - first), (NOVEL_CLIP, settings.pose_frames)]
-    shown = [(clip, _times(clip, count)) for clip, count in ((load_clip(name), count) for name, count in counts) if count]
+    counts = [(TRAINING_CLIPS[0], first), (TRAINING_CLIPS[1], settings.frames - first),
+              (NOVEL_CLIP, settings.pose_frames)]
+    shown = [(clip := load_clip(name), _times(clip, count)) for name, count in counts if count]
     if settings.sequence_frames:
         shown.append((load_clip(NOVEL_CLIP), SEQUENCE_START + np.arange(settings.sequence_frames)))
     shape = shape_of(body)
-    parts = [pose_sequence(body, clip, frames, rate=30.0, shape=shape, place="treadmill") for clip, frames in shown]
+    parts = [pose_sequence(body, clip, frames, rate=30.0, shape=shape, place="treadmill")
+             for clip, frames in shown]
     if kind != "clips":
         turn = 2 * np.pi / settings.frames if kind == "turn" else 0.0
         parts[: 2 if settings.frames > 1 else 1] = [_held(parts[0], turn * np.arange(settings.frames))]
@@ -128,7 +136,7 @@ def motion(body: Body, settings: Settings, kind: str = "clips") -> Poses:
     def joined(field: Callable[[Poses], np.ndarray]) -> np.ndarray:
         return np.concatenate([field(part) for part in parts])
 
-    # The lowest point of every frame stands on y = 0: a jump or a climb would leave the image otherwise.
+    # Without this, the performer would leave the image in a jump or a climb.
     vertices = joined(lambda p: p.vertices)
     lift = np.array([0, 1, 0], dtype=np.float32) * vertices[..., 1].min(axis=1)[:, None]
     return Poses(
@@ -142,13 +150,17 @@ def motion(body: Body, settings: Settings, kind: str = "clips") -> Poses:
 
 
 def heading(root_rotation: np.ndarray) -> float:
-    """Radians around y by which the body, turned by the (3,) axis-angle `root_rotation`, faces away from +z towards +x."""
+    """The angle in radians, from +z towards +x, at which the body faces with the (3,) axis-angle
+    `root_rotation`.
+    """
     forward = Rotation.from_rotvec(root_rotation).apply([0.0, 0.0, 1.0])
     return float(np.arctan2(forward[0], forward[2]))
 
 
 def _held(poses: Poses, angles: np.ndarray) -> Poses:
-    """The first frame's pose, in each frame turned around the world's y axis by an angle, (T,) radians."""
+    """The pose of the first frame, rotated around the world's y axis by the angles of the frames, (T,)
+    radians.
+    """
     turn = Rotation.from_rotvec(angles[:, None] * [0.0, 1.0, 0.0])
     return Poses(
         np.arange(len(angles), dtype=np.int32),
@@ -161,10 +173,10 @@ def _held(poses: Poses, angles: np.ndarray) -> Poses:
 
 
 def _times(clip: Clip, count: int) -> np.ndarray:
-    """``count`` frames of a clip at 30 Hz, in the middles of equal stretches."""
+    """``count`` frames of a clip at 30 Hz, in the middles of equal intervals."""
     return np.round((np.arange(count) + 0.5) / count * int(clip.duration * 30)).astype(int)
 
 
 def _spread(count: int, chosen: int) -> np.ndarray:
-    """``chosen`` whole numbers below ``count``, in the middles of equal stretches."""
+    """``chosen`` whole numbers below ``count``, in the middles of equal intervals."""
     return np.floor((np.arange(chosen) + 0.5) / max(chosen, 1) * count).astype(int)

@@ -1,4 +1,4 @@
-"""The cameras: a ring at about the height of the chest, as around a capture stage."""
+"""The cameras of a capture stage: a ring at about the height of the chest."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from ndf_mi.capture.camera import Camera, look_at
 
 _RADIUS = 3.2
 _HEIGHT = 1.15
-#: Metres around the body's vertices that must be seen too: clothes and hair.
+#: Metres around the body's vertices that must be visible too: clothes and hair.
 _CLOTHES = 0.07
-#: Share of the image left free at each side.
+#: Fraction of the image that stays free at each side.
 _FREE = 0.04
 
 
 def camera_ring(count: int, pixels: int, vertices: np.ndarray, seed: int) -> dict[str, Camera]:
-    """``count`` square cameras of ``pixels`` by ``pixels``, evenly around the y axis, that see all of the
-    performer always.
+    """``count`` cameras of ``pixels`` by ``pixels``, evenly around the y axis, that always see the whole
+    performer.
 
-    Heights, distances and aims vary a little with ``seed``. Each camera's focal length is the largest with
-    which the clothed body stays in the image.
+    Heights, distances and aims vary a little with ``seed``. Each camera has the largest focal length at which
+    the clothed body stays in the image.
 
     Args:
         vertices: (T, V, 3) the posed bodies, metres.
@@ -45,13 +45,13 @@ def camera_ring(count: int, pixels: int, vertices: np.ndarray, seed: int) -> dic
 
 
 def evenly(names: list[str], count: int) -> tuple[str, ...]:
-    """``count`` of ``names``, evenly spaced from the first on."""
+    """``count`` of ``names``, evenly spaced, from the first on."""
     return tuple(names[round(i * len(names) / count)] for i in range(count))
 
 
 def _outline(vertices: np.ndarray) -> np.ndarray:
-    """Points that bound the clothed bodies: every vertex moved by the clothes' thickness along each axis,
-    thinned out.
+    """Points that bound the clothed bodies: some vertices, moved by the thickness of clothes along each
+    axis.
     """
     thin = vertices[:, ::16].reshape(-1, 3)
     shifts = np.concatenate([np.eye(3), -np.eye(3)]) * _CLOTHES

@@ -1,4 +1,6 @@
-"""Renders the performer by Mitsuba's path tracer: one scene, whose vertices move; one kernel for all cameras and frames."""
+"""Renders the performer with Mitsuba's path tracer: one scene whose vertices move, one kernel for all cameras
+and frames.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +20,18 @@ _MAX_DEPTH = 3
 
 
 class Studio:
-    """The scene: light and the performer's layers.
+    """The scene: a light and the performer's layers.
 
     Args:
-        layers: the surfaces; their faces, colours and materials don't change.
-        spp: samples a pixel, rounded up to what Mitsuba's ``multijitter`` sampler can stratify.
+        layers: the surfaces; their faces, colours and materials do not change.
+        spp: samples per pixel, rounded up to a number that Mitsuba's ``multijitter`` sampler can stratify.
         light: name of the light.
     """
 
     def __init__(self, layers: Sequence[Layer], spp: int, light: str = lighting.DEFAULT) -> None:
         self._light = lighting.light(light)
-        scene: dict = {"type": "scene"} if self._light.flat else {"type": "scene", "light": lighting.emitter(light)}
+        scene: dict = {"type": "scene"} if self._light.flat else {"type": "scene",
+                                                                  "light": lighting.emitter(light)}
         self._names = []
         for i, layer in enumerate(layers):
             name = f"layer{i}"
@@ -36,48 +39,58 @@ class Studio:
             self._names.append(name)
         self._scene = mi.load_dict(scene)
         self._parameters = mi.traverse(self._scene)
-        self._integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH, "hide_emitters": not self._light.flat})
+        self._integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH,
+                                         "hide_emitters": not self._light.flat})
         self._sampler = mi.load_dict({"type": "multijitter", "sample_count": spp})
         self._faces = [layer.faces for layer in layers]
         self._points = np.empty((0, 3))
         self._edge = 0.0
 
     def pose(self, layers: Sequence[np.ndarray], heading: float = 0.0) -> None:
-        """Moves the layers to these world vertices, (N, 3) each, and turns a light that is carried to `heading`, radians around y."""
+        """Moves the layers to world vertices, (N, 3) each, and turns a carried light to `heading`, radians
+        around y.
+        """
         if self._light.carried:
-            self._parameters["light.to_world"] = mi.Transform4f().rotate([0, 1, 0], float(np.degrees(heading)))
+            self._parameters["light.to_world"] = mi.Transform4f().rotate([0, 1, 0],
+                                                                         float(np.degrees(heading)))
         for name, vertices in zip(self._names, layers, strict=True):
             set_vertices(self._parameters, vertices, name)
         self._parameters.update()
         self._points = np.concatenate(list(layers))
-        self._edge = max(_longest_edge(vertices, faces) for vertices, faces in zip(layers, self._faces, strict=True))
+        self._edge = max(_longest_edge(vertices, faces) for vertices, faces in zip(layers, self._faces,
+                                                                                   strict=True))
 
     def render(self, camera: Camera, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """The performer as ``camera`` sees it, box-filtered.
+        """Renders the performer with a box filter.
 
         Returns:
-            (h, w, 3) float32 linear radiance, premultiplied by the coverage, and (h, w) float32 coverage in [0, 1].
+            (h, w, 3) float32 linear radiance, premultiplied by coverage, and (h, w) float32 coverage in [0,
+            1].
         """
         pixels = self._seen_pixels(camera)
         samples = self._sampler.sample_count()
         self._sampler.set_samples_per_wavefront(samples)
         self._sampler.seed(seed, len(pixels) * samples)
-        pixel = dr.gather(mi.UInt32, mi.UInt32(pixels), dr.arange(mi.UInt32, len(pixels) * samples) // samples)
+        pixel = dr.gather(mi.UInt32, mi.UInt32(pixels),
+                          dr.arange(mi.UInt32, len(pixels) * samples) // samples)
         width = dr.opaque(mi.UInt32, camera.w)
         row = pixel // width
         position = mi.Point2f(mi.Float(pixel - row * width), mi.Float(row)) + self._sampler.next_2d()
         ray = mi.RayDifferential3f(camera.rays(position))
         radiance, hit, _ = self._integrator.sample(self._scene, self._sampler, ray)
         channels = [radiance.x, radiance.y, radiance.z, dr.select(hit, mi.Float(1), 0)]
-        # Evaluated together: each block sum would launch the path tracer anew otherwise.
+        # Evaluated together, since each block sum would launch the path tracer again.
         dr.eval(channels)
         out = np.zeros((camera.h * camera.w, 4), dtype=np.float32)
-        out[pixels] = np.stack([np.array(dr.block_sum(channel, samples)) for channel in channels], axis=1) / samples
+        sums = [np.array(dr.block_sum(channel, samples)) for channel in channels]
+        out[pixels] = np.stack(sums, axis=1) / samples
         image = out.reshape(camera.h, camera.w, 4)
         return image[..., :3], image[..., 3]
 
     def _seen_pixels(self, camera: Camera) -> np.ndarray:
-        """(P,) uint32 row-major indices of the pixels that the performer can touch: those within a triangle of a vertex."""
+        """(P,) uint32 indices, row by row, of the pixels that the performer can touch: those within an edge
+        of a vertex.
+        """
         columns, rows = np.floor(camera.project(self._points)).astype(int).T
         inside = (columns >= 0) & (columns < camera.w) & (rows >= 0) & (rows < camera.h)
         seen = np.zeros((camera.h, camera.w), dtype=bool)
@@ -91,10 +104,12 @@ def _mesh(name: str, layer: Layer, flat: bool) -> mi.Mesh:
     properties = mi.Properties()
     if flat:
         properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": 0.0})
-        properties["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_color"}})
+        properties["emitter"] = mi.load_dict({"type": "area",
+                                              "radiance": {"type": "mesh_attribute", "name": "vertex_color"}})
     else:
         properties["mesh_bsdf"] = mi.load_dict(lighting.MATERIALS[layer.material])
-    return make_mesh(name, layer.rest, layer.faces, smooth=True, attributes={"vertex_color": layer.colour}, props=properties)
+    return make_mesh(name, layer.rest, layer.faces, smooth=True, attributes={"vertex_color": layer.colour},
+                     props=properties)
 
 
 def _longest_edge(vertices: np.ndarray, faces: np.ndarray) -> float:

@@ -16,10 +16,11 @@ def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def loop_subdivision(faces: np.ndarray, count: int) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """One step of Loop's subdivision (Loop 1987, with Warren's vertex weights) of a mesh of ``count`` vertices.
+    """One step of Loop's subdivision (Loop 1987, with Warren's vertex weights) of a mesh of ``count``
+    vertices.
 
     Returns:
-        The (count + E, count) matrix that takes old vertices (or any attribute of theirs) to new ones, and the (4 F, 3)
+        The (count + E, count) matrix from old vertices (or their attributes) to new ones, and the (4 F, 3)
         faces over these. Boundaries become cubic B-splines.
     """
     edges, face_edges = edges_of(faces)
@@ -56,10 +57,11 @@ def loop_subdivision(faces: np.ndarray, count: int) -> tuple[sparse.csr_matrix, 
 
 
 def clip(faces: np.ndarray, values: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """Keeps the part of a mesh where ``values``, (V,) linear over the triangles, are positive, cut along their zero.
+    """Keeps the part of a mesh where ``values``, (V,), interpolated linearly, are positive.
 
     Returns:
-        The (V', V) matrix that takes old vertices or their attributes to the new ones, and the (F', 3) faces over these.
+        The (V', V) matrix from old vertices or their attributes to new ones, and the (F', 3) faces over
+        these.
     """
     count = len(values)
     edges, face_edges = edges_of(faces)
@@ -92,14 +94,16 @@ def clip(faces: np.ndarray, values: np.ndarray) -> tuple[sparse.csr_matrix, np.n
 
 
 def rim_distance(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V,) straight distance, metres, to the nearest vertex of the mesh's boundary; infinite for a closed mesh."""
+    """(V,) distance in metres to the nearest vertex of the boundary; infinite for a closed mesh."""
     edges, face_edges = edges_of(faces)
     rim = np.unique(edges[np.bincount(face_edges.ravel(), minlength=len(edges)) == 1])
     return cKDTree(vertices[rim]).query(vertices)[0] if len(rim) else np.full(len(vertices), np.inf)
 
 
 def averaging(faces: np.ndarray, count: int) -> sparse.csr_matrix:
-    """(V, V) matrix that replaces each vertex by the mean of itself and its neighbours' mean; vertices alone stay."""
+    """(V, V) matrix that replaces each vertex by the mean of itself and its neighbours' mean, if it has
+    neighbours.
+    """
     edges, _ = edges_of(faces)
     both = np.concatenate([edges, edges[:, ::-1]])
     valence = np.bincount(both[:, 0], minlength=count)

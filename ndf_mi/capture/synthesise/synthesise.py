@@ -1,4 +1,6 @@
-"""Makes a synthetic capture: poses the performer, renders it from every camera that a split names, and writes the folder."""
+"""Makes a synthetic capture: poses the performer, renders it with the cameras of the splits, and writes the
+folder.
+"""
 
 from __future__ import annotations
 
@@ -24,11 +26,11 @@ from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.errors import InputError
 from ndf_mi.files import write_json
 
-#: The settings that a folder was made with: what tells whether work that was stopped can go on there.
+#: The settings of a folder, which show whether an interrupted run can continue there.
 SETTINGS_FILE = "synthesis.json"
-#: sRGB of the pixels without performer.
+#: sRGB of the background.
 BACKGROUND = (0.5, 0.5, 0.5)
-#: Raised whenever the same settings give other pictures than before.
+#: Increased whenever the same settings give different pictures.
 RECIPE = 2
 
 _OWN_FILES = (FILE_NAME, "body.npz", "poses.npz", lighting.SCENE, lighting.ENVIRONMENT, SETTINGS_FILE)
@@ -44,29 +46,30 @@ def synthesise(
     light: str = lighting.DEFAULT,
     look: Look = Look(),  # noqa: B008
 ) -> Path:
-    """Makes a capture in the folder ``out``, or goes on where an interrupted call with the same settings stopped.
+    """Makes a capture in the folder ``out``, or continues an interrupted call with the same settings.
 
     Args:
-        out: a folder that is new, empty, or holds such an unfinished capture.
-        settings: what to make.
+        out: a folder that is new, empty, or holds an unfinished capture with the same settings.
+        settings: sizes and splits.
         name: the capture's name.
-        overwrite: makes anew what is in ``out`` where that is a capture; never replaces anything else.
-        progress: called with the numbers of images done and to do, first with those that are there already.
-        light: name of the light. Captures of the same settings and name differ in it alone: performer, poses, cameras and masks agree.
-        look: what the performer wears and does.
+        overwrite: replaces a capture in ``out``, but never anything else.
+        progress: called with the numbers of finished and of all images, first with those that exist already.
+        light: name of the light. With the same settings and name, performer, poses, cameras and masks do not
+            depend on it.
+        look: the performer's clothes, materials and motion.
 
     Returns:
-        ``out``; nothing is done where the very capture is there already.
+        ``out``, unchanged if the same capture exists already.
 
     Raises:
-        InputError: ``out`` holds something else; there is no such light; or the body's data are missing.
+        InputError: ``out`` holds something else; no such light; or the body's data are missing.
     """
     out = Path(out)
     constant = lighting.light(light).constant
-    # A look's choices are left out at their defaults, as the light is.
-    made_with = {"name": name, "recipe": RECIPE, "mitsuba": metadata.version("mitsuba"), **asdict(settings), **look.changes()}
+    # Default choices and lights are left out, so that captures made before there was a choice are recognised.
+    made_with = {"name": name, "recipe": RECIPE, "mitsuba": metadata.version("mitsuba"), **asdict(settings),
+                 **look.changes()}
     if light != lighting.DEFAULT:
-        # Left out at its default, so that captures made before there was a choice are known again.
         made_with["light"] = light
     _claim(out, made_with, overwrite)
     body = load_anny()
@@ -89,7 +92,8 @@ def synthesise(
         studio = Studio(performer.layers, settings.spp, light)
         for frame in sorted({frame for _, frame in missing}):
             row = poses.index(frame)
-            layers = performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row], poses.vertices[row])
+            layers = performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row],
+                                    poses.vertices[row])
             studio.pose(layers, plan.heading(poses.root_rotation[row]))
             for camera in (camera for camera, of in missing if of == frame):
                 seed = (settings.seed * 1009 + frame) * 101 + list(cameras).index(camera)
@@ -104,22 +108,25 @@ def synthesise(
 
 
 def composite(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
-    """(h, w, 3) sRGB: premultiplied linear radiance over the background, mixed in linear light."""
+    """(h, w, 3) sRGB: premultiplied linear radiance over the background, blended in linear light."""
     behind = (1 - coverage[..., None]) * np.asarray(srgb_to_linear(np.array(BACKGROUND)))
     return np.asarray(linear_to_srgb(np.clip(radiance + behind, 0, 1)))
 
 
 def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
-    """Sees that ``out`` is new, empty or ours, and empties it of another capture if ``overwrite``."""
+    """Checks that ``out`` is new, empty or a capture with these settings; removes another capture if
+    ``overwrite``.
+    """
     if out.is_file():
-        raise InputError(out, "a file", "a folder to make")
+        raise InputError(out, "a file", "a folder")
     if not out.is_dir() or not any(out.iterdir()):
         return
     foreign = sorted(p.name for p in out.iterdir() if p.name not in _OWN_FILES + _OWN_FOLDERS)
     has_settings = (out / SETTINGS_FILE).is_file()
     if foreign or not (has_settings or (out / FILE_NAME).is_file()):
         names = foreign or sorted(p.name for p in out.iterdir())
-        raise InputError(out, f"a folder that holds other things ({', '.join(names[:4])})", "a new or empty folder")
+        raise InputError(out, f"a folder with other contents ({', '.join(names[:4])})",
+                         "a new or empty folder")
     if _same_settings(out, made_with) and not overwrite:
         return
     if not overwrite:
@@ -127,7 +134,7 @@ def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
             out,
             "a capture made with other settings",
             f"a new or empty folder, or one with the same settings in {SETTINGS_FILE}",
-            "give another folder, or --overwrite to replace the capture",
+            "Choose another folder, or replace the capture with --overwrite.",
         )
     for folder in _OWN_FOLDERS:
         shutil.rmtree(out / folder, ignore_errors=True)

