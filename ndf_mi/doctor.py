@@ -1,4 +1,6 @@
-"""Examines the machine: variants, LLVM, GPU, body data, memory and packages. Runs also where Mitsuba and Dr.Jit are broken."""
+"""Examines the machine: variants, LLVM, GPU, body data, memory and packages. Runs also where Mitsuba and
+Dr.Jit are broken.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +38,8 @@ EXTRAS = {
 PROBE = """
 import sys, ndf_mi, mitsuba as mi, drjit as dr
 mi.set_variant(sys.argv[1])
-image = mi.render(mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "light": {"type": "constant"},
-    "ball": {"type": "sphere"}, "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at(
+image = mi.render(mi.load_dict({"type": "scene", "integrator": {"type": "path"},
+    "light": {"type": "constant"}, "ball": {"type": "sphere"}, "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at(
     [0, 0, 4], [0, 0, 0], [0, 1, 0]), "film": {"type": "hdrfilm", "width": 8, "height": 8}}}), spp=4)
 assert float(dr.mean(dr.maximum(image, 0), axis=None).array[0]) > 0
 """
@@ -62,7 +64,9 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Examines everything that the package depends on. Takes some seconds: each variant renders a picture in its own process."""
+    """Examines everything that the package depends on. Takes some seconds: each variant renders a picture in
+    its own process.
+    """
     return [
         *_packages(),
         *_extras(),
@@ -84,7 +88,9 @@ def healthy(findings: Sequence[Finding]) -> bool:
 
 
 def probe(variant: str) -> str:
-    """Renders a few pixels with ``variant`` in its own process; returns an empty string, or what went wrong in one line."""
+    """Renders a few pixels with ``variant`` in its own process; returns an empty string, or what went wrong
+    in one line.
+    """
     try:
         result = subprocess.run(
             [sys.executable, "-c", PROBE, variant], capture_output=True, text=True, timeout=PROBE_SECONDS
@@ -105,12 +111,14 @@ def _variant(name: str) -> Finding:
     if name == variants.CUDA:
         if shutil.which("nvidia-smi") is None:
             return Finding(name, State.NOTE, "no NVIDIA driver; optional, only faster")
-        return Finding(name, State.MISSING, trouble, "update the NVIDIA driver to 570 or newer, with its OptiX library")
+        return Finding(name, State.MISSING, trouble,
+                       "update the NVIDIA driver to 570 or newer, with its OptiX library")
     if llvm.find() is None:
         return Finding(name, State.MISSING, "no usable LLVM", llvm.install_command())
     if library := _libatomic():
         return Finding(name, State.MISSING, library[0].found, library[0].repair)
-    return Finding(name, State.MISSING, trouble, _pip("install", "--force-reinstall", "--no-deps", "mitsuba", "drjit"))
+    return Finding(name, State.MISSING, trouble,
+                   _pip("install", "--force-reinstall", "--no-deps", "mitsuba", "drjit"))
 
 
 def _libatomic() -> list[Finding]:
@@ -132,7 +140,8 @@ def _llvm() -> Finding:
     old = sorted({version for path in llvm.candidates() if (version := llvm.version_in_name(path))})
     too_old = ", ".join(".".join(map(str, version)) for version in old)
     what = f"only too old ones ({too_old})" if too_old else "none"
-    return Finding("LLVM", State.MISSING, f"{what}; {llvm.MINIMUM} or newer is needed", llvm.install_command())
+    return Finding("LLVM", State.MISSING, f"{what}; {llvm.MINIMUM} or newer is needed",
+                   llvm.install_command())
 
 
 def _gpu() -> Finding:
@@ -165,8 +174,10 @@ def _packages() -> list[Finding]:
 
 def _extras() -> list[Finding]:
     """One finding for each extra whose packages are not all installed; those for developers are left out."""
-    lacking = {extra: optional.missing_packages(names) for extra, names in optional.requirements().items() if extra in EXTRAS}
-    return [Finding(f"extra {extra}", State.NOTE, f"not installed: {', '.join(missing)}; needed {EXTRAS[extra]}",
+    extras = {extra: names for extra, names in optional.requirements().items() if extra in EXTRAS}
+    lacking = {extra: optional.missing_packages(names) for extra, names in extras.items()}
+    return [Finding(f"extra {extra}", State.NOTE,
+                    f"not installed: {', '.join(missing)}; needed {EXTRAS[extra]}",
                     optional.install_command(extra)) for extra, missing in lacking.items() if missing]
 
 
@@ -176,7 +187,8 @@ def _memory() -> Finding:
     except (ValueError, OSError):
         return Finding("memory", State.NOTE, "not reported by the system")
     if total < MEMORY_OF_DEMO:
-        return Finding("memory", State.NOTE, f"{total:.1f} GB; `ndf-mi demo` may take {MEMORY_OF_DEMO:.0f} GB")
+        return Finding("memory", State.NOTE,
+                       f"{total:.1f} GB; `ndf-mi demo` may take {MEMORY_OF_DEMO:.0f} GB")
     return Finding("memory", State.OK, f"{total:.1f} GB")
 
 

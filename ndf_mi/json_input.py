@@ -1,4 +1,4 @@
-"""JSON that people or other programs wrote: whatever is wrong with it is told by file and key."""
+"""Reads JSON that people or other programs wrote; errors name the file and the key."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ndf_mi.errors import InputError
 
 
 def load_json(path: Path) -> Any:
-    """The value in a file.
+    """The value in a JSON file.
 
     Raises:
-        FileNotFoundError: there is none.
-        ValueError: it cannot be read, is no JSON, or is nested too deep for Python's reader.
+        FileNotFoundError: no such file.
+        ValueError: the file cannot be read, is not JSON, or is nested too deep for Python's reader.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
@@ -28,7 +28,7 @@ def load_json(path: Path) -> Any:
 
 
 def is_finite(value: Any) -> TypeGuard[int | float]:
-    """Whether a JSON value is a number that a float can hold."""
+    """Whether a JSON value is a number that fits into a float."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     try:
@@ -41,15 +41,16 @@ def number(value: Any, where: str, low: float = -math.inf) -> float:
     """A JSON value as a finite float.
 
     Raises:
-        InputError: it is no number, not finite, or below `low`; `where` is in front.
+        InputError: at `where`, if it is not a number, not finite, or below `low`.
     """
     if is_finite(value) and value >= low:
         return float(value)
-    raise InputError(where, shown(value), "a finite number" + (f" of at least {low:g}" if low > -math.inf else ""))
+    raise InputError(where, shown(value),
+                     "a finite number" + (f" of at least {low:g}" if low > -math.inf else ""))
 
 
 def shown(value: Any) -> str:
-    """A value as a message shows it: short, and ``nothing`` for a key that isn't there."""
+    """A value for a message: shortened, and ``nothing`` for a missing key."""
     if value is None:
         return "nothing"
     try:

@@ -1,9 +1,10 @@
 """Finds an LLVM that Dr.Jit can use, and points Dr.Jit at it before Dr.Jit looks for itself.
 
-Dr.Jit takes the first ``libLLVM.so`` that the loader finds, then the highest file name in the system's library folder.
-It accepts LLVM 15 and 16, and then aborts the process at the first ``dr.maximum``. It reads ``DRJIT_LIBLLVM_PATH``
-once, when it is imported; so the choice is made here, earlier. This module imports neither drjit nor mitsuba, and runs
-by itself, as ``python -I ndf_mi/llvm.py``, before anything is installed: it prints the LLVM found, or exits with 1.
+Dr.Jit takes the first ``libLLVM.so`` that the loader finds, or else the highest file name in the system's
+library folder. It accepts LLVM 15 and 16, and then aborts the process at the first ``dr.maximum``. It reads
+``DRJIT_LIBLLVM_PATH`` once, on import, so the choice is made here, earlier. This module imports neither drjit
+nor mitsuba. It also runs alone, as ``python -I ndf_mi/llvm.py``, before anything is installed: it prints the
+LLVM that it finds, or the command that installs one, with exit code 1.
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ from pathlib import Path
 
 MINIMUM = 17
 VARIABLE = "DRJIT_LIBLLVM_PATH"
-PACKAGES = {"debian": "libllvm19", "fedora": "llvm-libs", "arch": "llvm-libs", "suse": "libLLVM19", "darwin": "llvm"}
-"""The system's package that holds LLVM's shared library, by kind of system."""
+PACKAGES = {"debian": "libllvm19", "fedora": "llvm-libs", "arch": "llvm-libs", "suse": "libLLVM19",
+            "darwin": "llvm"}
+"""The system's package with LLVM's shared library, by kind of system."""
 ABSENT = "/nonexistent/libLLVM-17-or-newer.so"
-"""What ``DRJIT_LIBLLVM_PATH`` is set to where no usable LLVM exists: Dr.Jit then finds none, rather than 15 or 16."""
+"""The value of ``DRJIT_LIBLLVM_PATH`` without a usable LLVM: Dr.Jit then finds none, instead of 15 or 16."""
 
 
 @dataclass(frozen=True, order=True)
 class Llvm:
-    """A shared library of LLVM: its version (major, minor, patch) and where it is."""
+    """A shared library of LLVM: its version (major, minor, patch) and path."""
 
     version: tuple[int, int, int]
     path: str
@@ -37,7 +39,7 @@ class Llvm:
 
 
 def folders() -> list[Path]:
-    """Where shared libraries of LLVM are looked for, besides the loader's own cache."""
+    """The folders that are searched for shared libraries of LLVM, besides the loader's cache."""
     if sys.platform == "darwin":
         roots = (Path("/opt/homebrew/opt"), Path("/usr/local/opt"))
         return [path / "lib" for root in roots for path in sorted(root.glob("llvm*"))]
@@ -47,7 +49,7 @@ def folders() -> list[Path]:
 
 
 def candidates() -> Iterator[Path]:
-    """Every file that looks like a shared library of LLVM, each real file once."""
+    """Every file that looks like a shared library of LLVM, without links to the same file."""
     seen: set[Path] = set()
     for path in (*_in_folders(folders()), *_in_loader_cache()):
         real = path.resolve()
@@ -57,10 +59,11 @@ def candidates() -> Iterator[Path]:
 
 
 def version_of(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
-    """The version that the library at ``path`` gives of itself; None if it cannot be loaded or is no LLVM.
+    """The version that the library at ``path`` reports; None if it cannot be loaded or is not LLVM.
 
-    Up to LLVM 15 the library has no function that tells its version; its file name is read then. Loading takes place in
-    this process: LLVM's symbols are versioned and local (``RTLD_LOCAL``), so that a second LLVM does no harm.
+    Up to LLVM 15 the library cannot report its version, which is then read from its file name. The library is
+    loaded into this process: LLVM's symbols are versioned and local (``RTLD_LOCAL``), so that a second LLVM
+    does no harm.
     """
     try:
         library = ctypes.CDLL(os.fspath(path), mode=ctypes.RTLD_LOCAL)
@@ -74,9 +77,11 @@ def version_of(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
 
 
 def version_in_name(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
-    """The version in a file name such as ``libLLVM-15.so.1``, ``libLLVM.so.19.1`` or ``libLLVM-14.0.6.so``; or None.
+    """The version in a file name such as ``libLLVM-15.so.1``, ``libLLVM.so.19.1`` or ``libLLVM-14.0.6.so``;
+    or None.
 
-    Links are followed, since ``libLLVM.so`` alone says nothing; a folder such as ``llvm-14/lib`` counts too.
+    Links are followed, since ``libLLVM.so`` alone has no version; a folder such as ``llvm-14/lib`` counts
+    too.
     """
     for text in (os.path.basename(path), os.path.realpath(path)):
         match = re.search(r"(?:libLLVM-|libLLVM\.so\.|llvm-)(\d+)(?:\.(\d+))?(?:\.(\d+))?", text)
@@ -87,10 +92,10 @@ def version_in_name(path: str | os.PathLike[str]) -> tuple[int, int, int] | None
 
 
 def usable(path: str | os.PathLike[str]) -> Llvm | None:
-    """The library at ``path`` if it can be loaded and is new enough, else None."""
+    """The library at ``path``, if it can be loaded and is new enough; else None."""
     named = version_in_name(path)
     if named is not None and named[0] < MINIMUM:
-        return None  # known too old: spares the loading of 100 MB
+        return None  # too old; there is no need to load 100 MB
     version = version_of(path)
     return Llvm(version, os.fspath(path)) if version is not None and version[0] >= MINIMUM else None
 
@@ -102,9 +107,9 @@ def find() -> Llvm | None:
 
 
 def loaded() -> Llvm | None:
-    """The LLVM that Dr.Jit, imported already, has loaded; None if it found none that it accepts.
+    """The LLVM that Dr.Jit has loaded, or None. Dr.Jit must be imported.
 
-    The path is empty where the system does not tell it (elsewhere than on Linux).
+    The path is known only on Linux, and empty elsewhere.
     """
     import drjit as dr
 
@@ -117,17 +122,17 @@ def loaded() -> Llvm | None:
 
 
 def ensure_llvm() -> Llvm | None:
-    """Makes sure that Dr.Jit uses a usable LLVM or none; called before drjit is imported.
+    """Makes Dr.Jit use a usable LLVM or none. Call it before drjit is imported.
 
-    Sets ``DRJIT_LIBLLVM_PATH`` to the newest usable LLVM, unless it names a usable one already. Where there is none,
-    the variable is set to a path that does not exist: a CUDA variant still works, and an LLVM one says that LLVM was
-    not found rather than abort the process.
+    It sets ``DRJIT_LIBLLVM_PATH`` to the newest usable LLVM, unless the variable names a usable one already.
+    If there is none, it sets a path that does not exist: CUDA variants still work, and LLVM variants report
+    that LLVM was not found, instead of aborting the process.
 
     Returns:
         The LLVM that Dr.Jit will use, or None.
 
     Raises:
-        ImportError: drjit was imported before, with an LLVM that is too old.
+        ImportError: drjit was imported earlier, with an LLVM that is too old.
     """
     if "drjit" in sys.modules:
         return _check_loaded()
@@ -138,7 +143,7 @@ def ensure_llvm() -> Llvm | None:
 
 
 def install_command(packages: Mapping[str, str] = PACKAGES) -> str:
-    """The command that installs a package on this system, given its name by kind of system as in :data:`PACKAGES`."""
+    """The command that installs a package on this system; `packages` has its name by kind of system."""
     if sys.platform == "darwin":
         return f"brew install {packages['darwin']}"
     try:
@@ -163,13 +168,13 @@ def _check_loaded() -> Llvm | None:
     else:
         remedy = f"Import ndf_mi before drjit and mitsuba, or set {VARIABLE}={better.path}"
     raise ImportError(
-        f"Dr.Jit has loaded {llvm}, which aborts the process at the first render; LLVM {MINIMUM} or newer is needed.\n"
-        f"  {remedy}"
+        f"Dr.Jit has loaded {llvm}, which aborts the process at the first render; LLVM {MINIMUM} or newer is "
+        f"needed.\n  {remedy}"
     )
 
 
 def _mapped() -> Iterator[str]:
-    """The libraries of LLVM that this process has mapped (Linux)."""
+    """The libraries of LLVM that this process has loaded (Linux)."""
     try:
         lines = Path("/proc/self/maps").read_text().splitlines()
     except OSError:
@@ -186,10 +191,10 @@ def _in_folders(where: Sequence[Path]) -> Iterator[Path]:
 def _in_loader_cache() -> Iterator[Path]:
     for tool in ("ldconfig", "/sbin/ldconfig"):
         try:
-            listing = subprocess.run([tool, "-p"], capture_output=True, text=True, timeout=10, check=True).stdout
+            done = subprocess.run([tool, "-p"], capture_output=True, text=True, timeout=10, check=True)
         except (OSError, subprocess.SubprocessError):
             continue
-        for line in listing.splitlines():
+        for line in done.stdout.splitlines():
             if "libLLVM" in line and "=>" in line:
                 yield Path(line.split("=>")[1].strip())
         return

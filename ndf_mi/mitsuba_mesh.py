@@ -1,9 +1,9 @@
 """Triangle meshes in Mitsuba: the only module that uses the interface of ``mi.Mesh``.
 
-Mitsuba 3.10 replaces that interface: a mesh is built from tensors in one call, ``vertex_positions`` becomes the (P, 3) tensor
-``positions``, and the winding of the faces defines which side is the front. Here meshes already face the way that their
-triangles wind. Which interface there is, is seen from ``Mesh.from_fields``, which 3.10 adds; that branch follows the release
-notes and has not been run.
+Mitsuba 3.10 replaces that interface: a mesh is built from tensors in one call, ``vertex_positions`` becomes
+the (P, 3) tensor ``positions``, and the winding of the faces defines which side is the front. Here meshes
+already face the way that their triangles wind. Which interface there is, is seen from ``Mesh.from_fields``,
+which 3.10 adds; that branch follows the release notes and has not been run.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ import mitsuba as mi
 import numpy as np
 
 
-def make_mesh(name: str, vertices: np.ndarray, faces: np.ndarray, *, uv: np.ndarray | None = None, smooth: bool = False,
-              attributes: Mapping[str, np.ndarray] | None = None, props: mi.Properties | None = None) -> mi.Mesh:
+def make_mesh(name: str, vertices: np.ndarray, faces: np.ndarray, *, uv: np.ndarray | None = None,
+              smooth: bool = False,
+              attributes: Mapping[str, np.ndarray] | None = None,
+              props: mi.Properties | None = None) -> mi.Mesh:
     """A mesh with Mitsuba's default BSDF, or with the BSDF, emitter and media in `props`.
 
     Args:
@@ -29,7 +31,8 @@ def make_mesh(name: str, vertices: np.ndarray, faces: np.ndarray, *, uv: np.ndar
         props: what the shape holds besides its geometry; its id becomes the shape's.
     """
     build = _build_tensors if _has_tensors() else _build_buffers
-    return build(name, vertices, faces, uv, smooth, attributes or {}, mi.Properties() if props is None else props)
+    return build(name, vertices, faces, uv, smooth, attributes or {},
+                 mi.Properties() if props is None else props)
 
 
 def set_vertices(parameters: mi.SceneParameters, vertices: np.ndarray | mi.Float, shape: str = "") -> None:
@@ -54,12 +57,15 @@ def set_faces(parameters: mi.SceneParameters, faces: np.ndarray, shape: str = ""
 
 
 def triangles(shape: mi.Shape) -> tuple[np.ndarray, np.ndarray] | None:
-    """(V, 3) vertices and (F, 3) indices of a triangle mesh, whichever plugin made it; None for any other shape."""
+    """(V, 3) vertices and (F, 3) indices of a triangle mesh, whichever plugin made it; None for any other
+    shape.
+    """
     parameters = mi.traverse(shape)
     if "positions" in parameters and "faces" in parameters:
         return parameters["positions"].numpy(), np.array(shape.geometric_faces()).reshape(-1, 3)
     if "vertex_positions" in parameters:
-        return parameters["vertex_positions"].numpy().reshape(-1, 3), parameters["faces"].numpy().reshape(-1, 3)
+        return parameters["vertex_positions"].numpy().reshape(-1, 3), parameters["faces"].numpy().reshape(-1,
+                                                                                                          3)
     return None
 
 
@@ -69,7 +75,8 @@ def _has_tensors() -> bool:
 
 def _build_buffers(name: str, vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray | None, smooth: bool,
                    attributes: Mapping[str, np.ndarray], props: mi.Properties) -> mi.Mesh:
-    mesh = mi.Mesh(name, len(vertices), len(faces), props=props, has_vertex_normals=smooth, has_vertex_texcoords=uv is not None)
+    mesh = mi.Mesh(name, len(vertices), len(faces), props=props, has_vertex_normals=smooth,
+                   has_vertex_texcoords=uv is not None)
     for attribute, values in attributes.items():
         mesh.add_attribute(attribute, values.shape[1], np.ascontiguousarray(values, dtype=np.float32).ravel())
     parameters = mi.traverse(mesh)
@@ -89,7 +96,8 @@ def _build_tensors(name: str, vertices: np.ndarray, faces: np.ndarray, uv: np.nd
     mesh = mi.Mesh(props)
     fields = {"positions": vertices} if uv is None else {"positions": vertices, "texcoords": uv}
     mesh.from_fields(faces=mi.TensorXu(_flat(mi.UInt32, faces), faces.shape),
-                     **{field: mi.TensorXf(_flat(mi.Float, values), values.shape) for field, values in fields.items()})
+                     **{field: mi.TensorXf(_flat(mi.Float, values), values.shape)
+                        for field, values in fields.items()})
     for attribute, values in attributes.items():
         mesh.add_attribute(attribute, mi.TensorXf(_flat(mi.Float, values), values.shape))
     return mesh

@@ -1,4 +1,4 @@
-"""``ndf-mi capture check``: says exactly what is wrong with a capture."""
+"""``ndf-mi capture check``: lists all issues of a capture."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ import tyro
 
 @dataclass
 class CaptureCheck:
-    """Check a capture's folder: lists everything that is wrong with it, or says what it holds."""
+    """Check a capture: list all its issues, or describe its contents if there are none."""
 
     path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The capture's folder."""
 
     def run(self) -> int:
-        """Prints the problems on stderr and returns 2, or prints a summary and returns 0."""
+        """Prints the issues on stderr and returns 2, or prints a summary and returns 0."""
         from ndf_mi.capture.capture import Capture
         from ndf_mi.capture.check import problems, summary
 
         found = problems(self.path)
-        for problem in found:
-            print(f"ndf-mi: error: {problem}", file=sys.stderr)
+        for issue in found:
+            print(f"ndf-mi: error: {issue}", file=sys.stderr)
         if found:
-            print(f"{len(found)} problem{'s' if len(found) > 1 else ''}", file=sys.stderr)
+            print(f"{len(found)} issue{'s' if len(found) > 1 else ''}", file=sys.stderr)
             return 2
         print(summary(Capture.read(self.path)))
         return 0

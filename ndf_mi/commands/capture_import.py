@@ -1,4 +1,4 @@
-"""``ndf-mi capture import``: makes a capture of one in another layout."""
+"""``ndf-mi capture import``: converts a capture from another layout."""
 
 from __future__ import annotations
 
@@ -13,36 +13,43 @@ from ndf_mi.errors import InputError
 
 @dataclass
 class CaptureImport:
-    """Make a capture of one of ZJU-MoCap or DynaCap, undistorted and over black, with the frames and cameras of the published
-    protocol; docs/captures-from-elsewhere.md describes the layouts. Writes all of it or nothing."""
+    """Convert a capture of ZJU-MoCap or DynaCap, undistorted and over black, with the frames and cameras of
+    the published protocol; docs/captures-from-elsewhere.md describes the layouts. Nothing is written if there
+    is an error."""
 
     layout: Annotated[Literal["zju", "dynacap"], tyro.conf.Positional]
-    """What DIR holds: a subject of ZJU-MoCap (CoreView_377), or a sequence of DynaCap."""
+    """The layout of DIR: a subject of ZJU-MoCap (CoreView_377), or a sequence of DynaCap."""
     path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The folder to read."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The capture to make: a new or empty folder."""
+    """Folder of the new capture; it must be new or empty."""
     smpl: Path | None = None
-    """SMPL's model file, .pkl or .npz, neutral. Without it --uv gives the triangles, and the body is a mesh alone."""
+    """SMPL's neutral model file, .pkl or .npz. Without it the body is only a mesh, with the triangles of
+    --uv.
+    """
     uv: Path | None = None
-    """Texel coordinates over SMPL's mesh: an .obj, or an .npz of uv, uv_faces and faces; by default one chart is made."""
+    """Texture coordinates of SMPL's mesh: an .obj, or an .npz with uv, uv_faces and faces; by default one
+    chart is made.
+    """
     subject: str | None = None
-    """zju: the subject, 313 to 394; by default read from the folder's name."""
+    """The subject of ZJU-MoCap, 313 to 394; by default read from the folder's name."""
     fits: Literal["new_params", "params"] | None = None
-    """The folder of fits: new_params (with pose blend shapes) or params (without); by default the first that is there."""
+    """The folder of fits: new_params (with pose blend shapes) or params (without); by default the first that
+    exists.
+    """
     frames: int = 1
-    """Take every how many-th frame of all splits."""
+    """Step between the frames of all splits."""
     test_frames: int = 30
-    """Take every how many-th frame of the held-out splits; a multiple of --frames."""
+    """Step between the frames of the held-out splits; a multiple of --frames."""
     train_cameras: tuple[str, ...] = ()
-    """Training cameras by name, instead of the protocol's."""
+    """Names of the training cameras, instead of the protocol's."""
     test_cameras: tuple[str, ...] = ()
-    """Held-out cameras by name, instead of the protocol's."""
+    """Names of the held-out cameras, instead of the protocol's."""
     scale: float = 0.5
-    """Size of the images made to that of the images read."""
+    """Size of the new images relative to the original ones."""
 
     def run(self) -> int:
-        """Makes the capture, with a progress bar."""
+        """Converts the capture, with a progress bar."""
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         from ndf_mi.capture.capture import Capture
@@ -56,14 +63,15 @@ class CaptureImport:
         if self.layout == "zju":
             source = read_zju(self.path, self.subject, selection, self.fits)
         elif self.subject is not None:
-            raise InputError("--subject", "it together with dynacap", "it only with zju")
+            raise InputError("--subject", f"{self.subject} with the layout dynacap", "a subject only for zju")
         else:
             source = read_dynacap(self.path, selection, self.fits)
-        bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+                       TimeRemainingColumn())
         task = bar.add_task("images", total=None)
 
         def show(done: int, total: int) -> None:
-            bar.start()  # not before: what is wrong is said without a bar
+            bar.start()  # not earlier, so that errors come without a bar
             bar.update(task, completed=done, total=total)
 
         try:

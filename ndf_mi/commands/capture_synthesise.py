@@ -11,40 +11,48 @@ import tyro
 
 @dataclass
 class CaptureSynthesise:
-    """Make a capture of a synthetic, dressed performer, path traced; goes on where it was stopped."""
+    """Render a capture of a synthetic, dressed performer by path tracing. An interrupted command can be
+    continued.
+    """
 
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
-    """The folder to make: new, empty, or one in which this command was stopped."""
+    """Folder of the capture: new, empty, or one where this command was interrupted."""
     size: Literal["tiny", "plan", "lit", "quick", "studio"] = "quick"
-    """tiny (48 pixels, for tests), plan (80 pixels, 12 frames, for studies of `ndf-mi plan`), lit (96 pixels, 3 frames, for relighting),
-    quick (128 pixels, about a minute on two cores) or studio (256 pixels, 21 cameras)."""
+    """tiny (48 pixels, for tests), plan (80 pixels, 12 frames, for studies of `ndf-mi plan`), lit (96 pixels,
+    3 frames, for relighting), quick (128 pixels, about a minute on two cores) or studio (256 pixels, 21
+    cameras)."""
     light: Literal["studio", "evening", "carried", "flat"] = "studio"
-    """What the performer is lit by; captures with different lights and otherwise the same options differ in it alone. carried: the studio's
-    light, turning with the performer; flat: none, surfaces show their reflectance. Of these two, the capture does not say its light."""
+    """The light; captures with the same other options differ only in it. carried: the studio's light, turning
+    with the performer; flat: no light, surfaces show their reflectance. The capture does not describe these
+    two."""
     motion: Literal["clips", "turn", "still"] = "clips"
-    """clips: walking and climbing; turn: one pose, turned around once over the frames; still: one pose that never moves."""
+    """Training motion. clips: walking and climbing; turn: one pose that turns around once; still: one
+    pose.
+    """
     clothes: Literal["loose", "tight"] = "loose"
-    """loose clothes stand off by centimetres; tight ones lie within 12 mm of the body, and the head is shaved."""
+    """loose: clothes are centimetres away from the body; tight: within 12 mm, and without hair."""
     folds: bool = True
     """Whether cloth folds with the pose."""
     surface: Literal["mixed", "matte", "glossy"] = "mixed"
-    """mixed: diffuse cloth, glossy skin, hair and shoes; matte: all of it diffuse; glossy: all of it shines."""
+    """mixed: diffuse cloth with glossy skin, hair and shoes; matte: everything is diffuse; glossy: everything
+    is glossy.
+    """
     seed: int = 0
-    """Seed of the cameras' placement and of the renderer; the same seed makes the same capture."""
+    """Seed of camera placement and rendering; the same seed gives the same capture."""
     name: str = "performer"
-    """The capture's name."""
+    """Name of the capture."""
     pixels: int | None = None
-    """Width and height of the images, instead of the size's."""
+    """Width and height of the images; by default given by the size."""
     spp: int | None = None
-    """Samples a pixel, instead of the size's."""
+    """Samples per pixel; by default given by the size."""
     cameras: int | None = None
-    """Cameras in the ring, instead of the size's."""
+    """Number of cameras in the ring; by default given by the size."""
     frames: int | None = None
-    """Training frames, instead of the size's."""
+    """Number of training frames; by default given by the size."""
     pose_frames: int | None = None
-    """Frames of novel poses, instead of the size's."""
+    """Number of novel poses; by default given by the size."""
     overwrite: bool = False
-    """Make anew what is in OUT, where that is a capture."""
+    """Replace a capture in OUT."""
 
     def run(self) -> int:
         """Makes the capture, with a progress bar."""
@@ -73,12 +81,13 @@ class CaptureSynthesise:
         from ndf_mi.capture.synthesise.look import Look
         from ndf_mi.capture.synthesise.synthesise import synthesise
 
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        bar = Progress(*columns)
+        bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+                       TimeElapsedColumn(),
+                       TimeRemainingColumn())
         task = bar.add_task("images", total=None)
 
         def show(done: int, total: int) -> None:
-            bar.start()  # not before: what is wrong with OUT is said without a bar
+            bar.start()  # not earlier, so that errors come without a bar
             bar.update(task, completed=done, total=total)
 
         try:
