@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import html
 import io
 import time
 from collections.abc import Callable
@@ -51,7 +50,7 @@ from ndf_mi.experiments.trade.memory import MEANING, peak_memory  # noqa: E402
 from ndf_mi.model import networks_here  # noqa: E402
 from ndf_mi.render.settings import Setting  # noqa: E402
 from ndf_mi.reports.charts import growth_chart  # noqa: E402
-from ndf_mi.reports.style import CSS  # noqa: E402
+from ndf_mi.reports.growth import Curve, write_growth_report  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 CURVES = ("rays", "samples", "triangles", "posing", "frames", "width")
@@ -203,28 +202,21 @@ def write(points: list[Point], options: Options) -> None:
     for point in points:
         sheet.writerow([point.curve, point.x, np.median(point.seconds), min(point.seconds), max(point.seconds), point.memory])
     files.write_text(options.out / "growth.csv", stream.getvalue())
-    parts = []
+    curves = []
     for curve in dict.fromkeys(point.curve for point in points):
         mine = [point for point in points if point.curve == curve]
         x = [point.x for point in mine]
         charts, sentences = [], []
         if len(mine) < 3:
-            # A run of few frames has few points; the table has them all the same.
-            sentences.append(f"{len(mine)} point{'' if len(mine) == 1 else 's'}: how it grows takes three to tell, and is left out.")
+            sentences.append(f"{len(mine)} point{'' if len(mine) == 1 else 's'}: too few to fit a curve, which takes three.")
         for cost, unit, values in (("Time", "s", [float(np.median(point.seconds)) for point in mine]),
                                    ("Memory", "MiB", [max(point.memory, 1) / 2**20 for point in mine])) if len(mine) >= 3 else ():
             growth = fit_growth(x, values)
             charts.append(growth_chart(growth, RAISED.get(curve, curve), unit, cost))
             sentences.append(growth.sentence(cost, RAISED.get(curve, curve), unit))
         print(f"{curve}\n  " + "\n  ".join(sentences))
-        parts.append(f"<h2>{html.escape(curve.capitalize())}</h2>\n<div class=\"charts\">{''.join(charts)}</div>\n"
-                     + "".join(f"<p>{html.escape(sentence)}</p>" for sentence in sentences))
-    facts = "".join(f"<tr><th>{key}</th><td>{html.escape(value)}</td></tr>" for key, value in machine.describe().items())
-    files.write_text(options.out / "growth.html", (
-        f'<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>Growth</title>\n<style>{CSS}</style>\n</head>\n<body>\n'
-        f'<h1>How time and memory grow</h1>\n<p class="soft">Medians of {options.repeats} repeats, all points of all curves interleaved. '
-        f"Memory is {html.escape(MEANING)}</p>\n" + "\n".join(parts) + f'\n<table class="facts"><tbody>{facts}</tbody></table>\n'
-        "</body>\n</html>\n"))
+        curves.append(Curve(curve, charts, sentences))
+    write_growth_report(options.out / "growth.html", curves, options.repeats, MEANING, machine.describe())
     print(f"\n{options.out / 'growth.html'}")
 
 

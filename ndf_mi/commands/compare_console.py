@@ -7,12 +7,11 @@ from typing import TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from ndf_mi.experiments import metrics
-from ndf_mi.experiments.evaluate import LABELS
 from ndf_mi.experiments.records import Results
-from ndf_mi.reports import tables
+from ndf_mi.reports import training
+from ndf_mi.reports.compare import headline
+from ndf_mi.reports.page import protocol_notes
 
 
 class ConsoleWatcher:
@@ -53,16 +52,9 @@ class ConsoleWatcher:
 
 
 def print_tables(results: Results) -> None:
-    """Prints the headline figures of each split, how far the protocol was kept to, and how the meshes were trained, on stdout."""
+    """Prints the headline figures of each split, differences to the protocol, and how methods were trained, on stdout."""
     console = Console()
-    for split in results.splits():
-        table = Table(title=LABELS[split].capitalize(), title_justify="left", box=None, pad_edge=False)
-        table.add_column("")
-        keys = tables.headline(results)
-        for key in keys:
-            table.add_column(metrics.LABELS[key], justify="right")
-        for row in tables.rows(results, split, keys):
-            table.add_row(row.label, *(cell.text for cell in row.cells), style="dim" if row.difference else "")
-        console.print(table)
-    for note in (*tables.protocol_notes(results), *filter(None, map(tables.mesh_note, results.methods))):
+    for part in headline(results, results.splits()).parts():
+        console.print(part.terminal())
+    for note in (*protocol_notes(results.about), *training.notes(results)):
         console.print(note, highlight=False)

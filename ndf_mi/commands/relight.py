@@ -57,7 +57,8 @@ class Relight:
         relighting = Relighting(self.run_folder, self.capture, self.under, folder, settings, command_line(self._arguments()))
         with ConsoleWatcher(sys.stderr) as watcher:
             relighting.run(watcher)
-        write_relight_report(folder / REPORT, relighting)
+        pictures = {light: relighting.pictures(light) for light in relighting.results}
+        write_relight_report(folder / REPORT, relighting.results, relighting.captures, pictures)
         print_relighting(relighting.results)
         print(f"\n{folder / REPORT}")
 

@@ -127,7 +127,7 @@ class Comparison:
             self._measure(key, label, mesh, watcher)
         self.results.methods = [method for method in self.results.methods if method.key in {"ndf", *meshes}]
         self.results.write(self.folder / RESULTS)
-        write_report(self.folder / REPORT, self.results, self._capture, self._work / PICTURES, read_training_log(self._run.path))
+        write_report(self.folder / REPORT, self.results, self._capture, self._work / PICTURES)
         return self.results
 
     def _meshes(self, key: str, watcher: Watcher, converge: bool) -> dict[str, tuple[Method, str]]:

@@ -1,8 +1,9 @@
-"""Reports: one HTML file each."""
+"""Reports of experiments: each is one HTML file that opens anywhere, made of templates and one style sheet."""
 
 from __future__ import annotations
 
 from ndf_mi.optional import require
 
+# Missing packages are reported before any work is done, not when its report is written.
 for _module in ("jinja2", "matplotlib", "flip_evaluator"):
-    require(_module, extra="report")  # before any work is done, rather than when its report is written
+    require(_module, extra="report")

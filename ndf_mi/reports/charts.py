@@ -1,16 +1,74 @@
-"""Charts of a trade and of growth, as SVG for the pages."""
+"""Charts of a report: SVG in the page's colours, with alternative texts that hold the figures."""
 
 from __future__ import annotations
 
+import hashlib
+import io
+import math
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import matplotlib
 import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from ndf_mi.experiments.trade.growth import Growth
-from ndf_mi.reports import pictures
-from ndf_mi.reports.pictures import INK, LINES
+
+#: Stands for the page's text colour in drawings; it follows the reader's light or dark theme.
+INK = "#123456"
+LINES = ("#3b82c4", "#d97a2b", "#7a9a3a", "#b0559e", "#c9a227", "#4aa3a2")
+#: Font size in points, and widths and heights in inches: legible where a chart is scaled to the width of a phone.
+_FONT = 9
+_SMALL, _LARGE = (4.6, 2.8), (5.0, 3.8)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A drawing.
+
+    Attributes:
+        title: printed above the chart; may be empty.
+        alt: what is seen, with its figures, for those who cannot see it.
+        svg: an `<svg>` element without a size of its own.
+    """
+
+    title: str
+    alt: str
+    svg: str
+
+
+Series = tuple[str, Sequence[float], Sequence[float]]
+
+
+def line_chart(
+    series: Sequence[Series], x_label: str, y_label: str, title: str, reference: Series | None = None, log_x: bool = False
+) -> Chart:
+    """A small line chart.
+
+    Args:
+        series: (label, x, y) of each line; NaN leaves a gap.
+        x_label, y_label: names of the axes.
+        title: printed above the chart.
+        reference: (label, x, y) of a dashed line in the text's colour.
+        log_x: whether x is drawn on a logarithmic axis; all x are positive then.
+    """
+    lines = [*series, *([reference] if reference is not None else [])]
+    figure, axes = _axes(x_label, y_label, size=_SMALL if len(lines) < 4 else _LARGE)
+    for index, (label, x, y) in enumerate(series):
+        axes.plot(x, y, label=label, linewidth=1.6, color=LINES[index % len(LINES)], marker=_marker(x, "o"))
+    if reference is not None:
+        label, x, y = reference
+        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", color=INK, alpha=0.6, marker=_marker(x, "_"))
+    if log_x:
+        axes.set_xscale("log")
+        _ticks(axes.xaxis, max(max(x) for _, x, _ in lines) / min(min(x) for _, x, _ in lines))
+    if len(lines) > 1:
+        _legend(axes, columns=2)
+    return _chart(figure, title, f"Line chart of {y_label} against {x_label}. " + " ".join(map(_describe, lines)))
 
 
 def front_chart(
@@ -21,51 +79,45 @@ def front_chart(
     y_label: str,
     title: str,
     reference: tuple[str, float] | None = None,
-) -> str:
-    """A trade as an `<svg>` element in the page's text colour: every point, those of the front joined and named, its knee ringed.
+) -> Chart:
+    """Cost and quality of points: those on the Pareto front are joined and named, its knee is ringed.
 
     Args:
-        points: (label, cost, quality), finite; cost is drawn by its logarithm.
-        front: indices of the points that no other beats, by rising cost.
+        points: (label, cost, quality), finite; cost is drawn on a logarithmic axis.
+        front: indices of the points that no other one dominates, by rising cost.
         knee: index of one of them.
-        x_label, y_label: of the axes.
-        title: above the chart.
-        reference: (label, quality) of a dashed line across.
+        x_label, y_label: names of the axes.
+        title: printed above the chart.
+        reference: (label, quality) of a dashed horizontal line.
     """
-    figure, axes = pictures.chart(x_label, y_label, title, size=(7.4, 4.6))
+    figure, axes = _axes(x_label, y_label, size=_LARGE)
     axes.set_xscale("log")
     rest = [point for index, point in enumerate(points) if index not in front]
     axes.plot([x for _, x, _ in rest], [y for _, _, y in rest], "o", color=INK, markerfacecolor="none", alpha=0.55, markersize=4,
-              label="beaten by another")
+              label="dominated")
     axes.plot([points[i][1] for i in front], [points[i][2] for i in front], "o-", color=LINES[0], linewidth=1.4, markersize=5,
-              label="front")
+              label="Pareto front")
     if knee is not None:
         axes.plot(points[knee][1], points[knee][2], "o", color=LINES[1], markerfacecolor="none", markersize=12, markeredgewidth=1.6,
                   label="knee")
-    named: list[int] = []
-    height = max(y for _, _, y in points) - min(y for _, _, y in points)
-    for index in front:
-        label, x, y = points[index]
-        # Names of points close above the last one named would stand over one another.
-        if named and index not in (knee, front[-1]) and y - points[named[-1]][2] < 0.04 * height:
-            continue
-        named.append(index)
-        axes.annotate(label, (x, y), xytext=(-5, 5), textcoords="offset points", fontsize=8, color=INK, horizontalalignment="right")
+    _name_points(axes, points, front, knee)
     if reference is not None:
         axes.axhline(reference[1], color=INK, linestyle="--", linewidth=1.0, alpha=0.6, label=reference[0])
-    # Room for the names, which stand left of their points, where no point of a front has another one above and before it.
+    # Names stand left of their points, where a front has no other point above and before.
     low, high = min(x for _, x, _ in points), max(x for _, x, _ in points)
     reach = max(high / low, 1.2)
     axes.set_xlim(low / reach**0.4, high * reach**0.06)
     axes.margins(y=0.1)
     _ticks(axes.xaxis, reach)
-    axes.legend(frameon=False, labelcolor=INK, fontsize=8, loc="lower left", bbox_to_anchor=(0, 1), ncols=4)
-    return pictures.as_svg(figure)
+    _legend(axes, columns=4)
+    named = "; ".join(f"{points[i][0]}: {points[i][1]:.3g}, {points[i][2]:.2f}{' (knee)' if i == knee else ''}" for i in front)
+    level = "" if reference is None else f" Dashed line: {reference[0]}, {reference[1]:.2f}."
+    return _chart(figure, title, f"Scatter chart of {y_label} against {x_label}: {len(points)} points. On the Pareto front: {named}.{level}")
 
 
-def growth_chart(growth: Growth, x_label: str, y_label: str, title: str) -> str:
-    """What was measured against what was raised, both by their logarithms, with the line fitted, as an `<svg>` element."""
-    figure, axes = pictures.chart(x_label, y_label, title)
+def growth_chart(growth: Growth, x_label: str, y_label: str, title: str) -> Chart:
+    """Measurements and the curve that was fitted to them, on logarithmic axes."""
+    figure, axes = _axes(x_label, y_label)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.plot(growth.x, growth.y, "o", color=LINES[0], markersize=5, label="measured")
@@ -73,16 +125,79 @@ def growth_chart(growth: Growth, x_label: str, y_label: str, title: str) -> str:
     axes.plot(line, growth.at(line), color=LINES[1], linewidth=1.3, label=growth.formula())
     for axis, values in ((axes.xaxis, growth.x), (axes.yaxis, growth.y)):
         _ticks(axis, max(values) / min(values))
-    # A curve that hardly rises is not to fill the height with its noise.
+    # A curve that hardly rises must not fill the height with its noise.
     low, high = min(growth.y), max(growth.y)
     if high < 2 * low:
         axes.set_ylim(low / 1.5, high * 1.5)
-    axes.legend(frameon=False, labelcolor=INK, fontsize=8)
-    return pictures.as_svg(figure)
+    _legend(axes, columns=2)
+    measured = "; ".join(f"{y:.3g} at {x:,g}" for x, y in zip(growth.x, growth.y, strict=True))
+    return _chart(figure, title, f"Chart of {y_label} against {x_label}, fitted by {growth.formula()}. Measured: {measured}.")
+
+
+def _axes(x_label: str, y_label: str, size: tuple[float, float] = _SMALL) -> tuple[Figure, Any]:
+    figure = Figure(figsize=size)
+    FigureCanvasSVG(figure)
+    axes = figure.add_subplot()
+    axes.set_xlabel(x_label, color=INK, fontsize=_FONT)
+    axes.set_ylabel(y_label, color=INK, fontsize=_FONT)
+    axes.tick_params(colors=INK, labelsize=_FONT)
+    axes.grid(color=INK, alpha=0.15, linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(INK)
+    return figure, axes
+
+
+def _chart(figure: Figure, title: str, alt: str) -> Chart:
+    """The drawing as an `<svg>` element that scales; what is drawn in `INK` has the page's text colour."""
+    stream = io.StringIO()
+    # Identifiers must differ between the charts of a page, and not from run to run.
+    salt = hashlib.sha256(f"{title}{alt}".encode()).hexdigest()
+    with matplotlib.rc_context({"svg.fonttype": "none", "font.family": "sans-serif", "svg.hashsalt": salt}):
+        figure.tight_layout()
+        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
+    text = stream.getvalue()
+    text = text[text.index("<svg") :].replace(INK, "currentColor")
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    # Only clip paths and markers are referred to; the names of groups are the same in every chart.
+    text = re.sub(r' id="[A-Za-z0-9.]+_\d+"', "", text)
+    opening, rest = text.split(">", 1)
+    return Chart(title, alt, re.sub(r' (width|height)="[^"]*"', "", opening) + ">" + rest)
+
+
+def _name_points(axes: Any, points: Sequence[tuple[str, float, float]], front: Sequence[int], knee: int | None) -> None:
+    """Writes the names of the front's points, except of those so close above the last one named that the names would overlap."""
+    named: list[int] = []
+    height = max(y for _, _, y in points) - min(y for _, _, y in points)
+    for index in front:
+        label, x, y = points[index]
+        if named and index not in (knee, front[-1]) and y - points[named[-1]][2] < 0.04 * height:
+            continue
+        named.append(index)
+        axes.annotate(label, (x, y), xytext=(-5, 5), textcoords="offset points", fontsize=_FONT, color=INK, horizontalalignment="right")
+
+
+def _legend(axes: Any, columns: int) -> None:
+    """A legend above the drawing."""
+    axes.legend(frameon=False, labelcolor=INK, fontsize=_FONT, loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, borderaxespad=0.2)
 
 
 def _ticks(axis: Any, reach: float) -> None:
-    """Plain numbers, more of them a decade where there are few decades."""
+    """Plain numbers, more of them in each decade where there are few decades."""
     axis.set_major_locator(LogLocator(subs=(1,) if reach > 30 else (1, 2, 3, 5)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_locator(NullLocator())
+
+
+def _marker(x: Sequence[float], marker: str) -> str | None:
+    """A marker where there are too few points for a line to show."""
+    return marker if len(x) < 3 else None
+
+
+def _describe(series: Series) -> str:
+    label, x, y = series
+    finite = [(a, b) for a, b in zip(x, y, strict=True) if math.isfinite(b)]
+    if not finite:
+        return f"{label}: no finite value."
+    values = [b for _, b in finite]
+    return (f"{label}: from {finite[0][1]:.4g} at {finite[0][0]:.4g} to {finite[-1][1]:.4g} at {finite[-1][0]:.4g}, "
+            f"lowest {min(values):.4g}, highest {max(values):.4g}.")

@@ -1,10 +1,10 @@
-"""The report's part on temporal consistency: its course over each sequence, and strips of where changes are wrong."""
+"""Temporal consistency in a report: its course over each sequence, and strips that show where changes are wrong."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -14,57 +14,70 @@ from ndf_mi.experiments import metrics
 from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
 from ndf_mi.experiments.evaluate import SPLITS
 from ndf_mi.experiments.flicker import read_picture
-from ndf_mi.experiments.records import Flicker, FrameSequence, Results
-from ndf_mi.reports import tables
-from ndf_mi.reports.picture_rows import cut, figure, head, scale_bar
-from ndf_mi.reports.pictures import absolute_error, data_uri, error_map, error_scale, line_chart
+from ndf_mi.experiments.records import Flicker, FrameSequence, MethodResult, Results, View
+from ndf_mi.reports import charts, tables
+from ndf_mi.reports.charts import Chart
+from ndf_mi.reports.pictures import PictureRow, absolute_error, box_mask, error_map, error_scale, mask_window, picture
 
 #: Pairs of frames in a strip.
 PAIRS = 5
-#: Millimetres that the body moves from frame to frame, above which changes are of motion first: what walking is at 30 frames a second.
+#: Motion of the body between frames, in mm, above which changes show motion more than flicker: walking at 30 frames a second.
 SMOOTH = 50
-NOTE = (
-    "Temporal PSNR is the PSNR of the change from one frame to the next, in one camera, over the boxes of both: an error that stays "
-    "counts nothing, one that comes and goes does, and so does standing still while the performer moves. Errors that are independent "
-    "from frame to frame put it 3 dB below box PSNR. It is measured on the sequences below alone."
-)
 
 
 @dataclass(frozen=True)
-class _Strip:
-    """Pairs of one sequence, cut to the body: |change| of the truth, and each method's error of it, (h, w) each."""
+class ShownSequence:
+    """What is shown of one sequence."""
+
+    title: str
+    description: str
+    strips: list[PictureRow]
+
+
+@dataclass(frozen=True)
+class Section:
+    """Charts and sequences, whose strips share a scale from 0 to `top`."""
+
+    charts: list[Chart]
+    sequences: list[ShownSequence]
+    top: float
+
+
+@dataclass(frozen=True)
+class _Changes:
+    """Pairs of frames cut to the body: (h, w) of what changes in the truth, and of each method's error of the change."""
 
     pairs: tuple[int, ...]
     truth: tuple[np.ndarray, ...]
     errors: tuple[tuple[np.ndarray, ...], ...]
 
 
-def flicker_section(results: Results, capture: Capture, pictures: Path) -> str:
-    """HTML of a chart and a strip a sequence, strips on one labelled scale; empty if no sequence was measured."""
+def flicker_section(results: Results, capture: Capture, pictures: Path) -> Section | None:
+    """A chart and strips for each sequence; None if none was measured.
+
+    Args:
+        results: what was measured; the sequences are those of the first method.
+        capture: the truth.
+        pictures: a folder for each method, by its key.
+    """
     known = sorted(results.methods[0].flicker, key=lambda flicker: SPLITS.index(flicker.sequence.split))
     if not known:
-        return ""
-    strips = [_load(results, capture, pictures, flicker.sequence) for flicker in known]
-    top = error_scale([e for strip in strips for row in (strip.truth, *strip.errors) for e in row])
-    parts = ["<h2>Temporal consistency</h2>", f'<p class="soft">{escape(NOTE)}</p>', _charts(results, known)]
-    parts.append(scale_bar("Strips: mean |change| and |error of the change| of the sRGB channels", top))
-    for flicker, strip in zip(known, strips, strict=True):
-        parts.append(f"<h3>{SPLIT_LABELS[flicker.sequence.split].capitalize()}</h3>")
-        parts.append(f'<p class="soft">{escape(_describe(flicker, capture))}</p>')
-        parts.append(_strip(results, flicker, strip, top))
-    return "\n".join(parts)
+        return None
+    changes = [_load(results, capture, pictures, flicker.sequence) for flicker in known]
+    top = error_scale([image for change in changes for row in (change.truth, *change.errors) for image in row])
+    sequences = [
+        ShownSequence(SPLIT_LABELS[flicker.sequence.split].capitalize(), _describe(flicker, capture), _strips(results, flicker, change, top))
+        for flicker, change in zip(known, changes, strict=True)
+    ]
+    return Section([_chart(results, flicker) for flicker in known], sequences, top)
 
 
-def _charts(results: Results, known: list[Flicker]) -> str:
-    charts = []
-    for reference in known:
-        sequence = reference.sequence
-        x = sequence.frames[1:]
-        found = ((method.label, _of(method.flicker, sequence)) for method in results.methods)
-        series = [(label, x, _finite(flicker.tpsnr)) for label, flicker in found if flicker is not None]
-        title = f"{SPLIT_LABELS[sequence.split].capitalize()}: temporal PSNR"
-        charts.append(line_chart(series, "frame", "dB", title, ("no change at all", x, _finite(reference.frozen))))
-    return f'<div class="charts">{"".join(charts)}</div>'
+def _chart(results: Results, reference: Flicker) -> Chart:
+    x = reference.sequence.frames[1:]
+    found = ((method.label, _of(method, reference.sequence)) for method in results.methods)
+    series = [(label, x, _finite(flicker.tpsnr)) for label, flicker in found if flicker is not None]
+    title = f"{SPLIT_LABELS[reference.sequence.split].capitalize()}: temporal PSNR"
+    return charts.line_chart(series, "frame", "temporal PSNR (dB)", title, ("a still picture", x, _finite(reference.frozen)))
 
 
 def _describe(flicker: Flicker, capture: Capture) -> str:
@@ -73,52 +86,58 @@ def _describe(flicker: Flicker, capture: Capture) -> str:
     moved = 1000 * float(np.median(np.linalg.norm(np.diff(capture.poses.vertices[rows], axis=0), axis=-1)))
     still = tables.figure(metrics.TEMPORAL, metrics.average(flicker.frozen))
     text = (
-        f"Camera {sequence.camera}, {len(sequence.frames)} frames from {sequence.frames[0]} to {sequence.frames[-1]}, from one to the next "
-        f"of which the body moves {moved:.0f} mm in the median. A picture that stood still would have {still} dB."
+        f"Camera {sequence.camera}, {len(sequence.frames)} frames from {sequence.frames[0]} to {sequence.frames[-1]}. The body’s vertices "
+        f"move {moved:.0f} mm between frames (median). A still picture would reach {still} dB."
     )
     if moved > SMOOTH:
-        text += " Frames that far apart say more of motion than of flicker."
+        text += " Frames this far apart show motion more than flicker."
     return text
 
 
-def _load(results: Results, capture: Capture, pictures: Path, sequence: FrameSequence) -> _Strip:
-    camera, views = capture.cameras[sequence.camera], sequence.views
-    count = min(PAIRS, len(views) - 1)
-    pairs = tuple(int(i) for i in np.linspace(0, len(views) - 2, count).round())
+def _load(results: Results, capture: Capture, pictures: Path, sequence: FrameSequence) -> _Changes:
+    views = sequence.views
+    pairs = tuple(int(i) for i in np.linspace(0, len(views) - 2, min(PAIRS, len(views) - 1)).round())
     frames = sorted({t + step for t in pairs for step in (0, 1)})
-    union = np.zeros((camera.h, camera.w), bool)
-    for t in frames:
-        union |= metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(views[t].frame)])
-    window = cut(union)
-    truth = {t: capture.image(sequence.camera, views[t].frame)[window] for t in frames}
-    still = np.zeros_like(truth[frames[0]])
-    errors = []
-    for method in results.methods:
-        image = {t: read_picture(pictures / method.key, views[t])[window] for t in frames}
-        errors.append(tuple(absolute_error(truth[t + 1] - truth[t], image[t + 1] - image[t]) for t in pairs))
-    return _Strip(pairs, tuple(absolute_error(truth[t + 1] - truth[t], still) for t in pairs), tuple(errors))
+    window = mask_window(np.any([box_mask(capture, views[t]) for t in frames], axis=0))
+
+    def changes(method: MethodResult | None) -> list[np.ndarray]:
+        images = {t: _image(capture, pictures, views[t], method)[window] for t in frames}
+        return [images[t + 1] - images[t] for t in pairs]
+
+    truth = changes(None)
+    errors = [tuple(absolute_error(a, b) for a, b in zip(truth, changes(method), strict=True)) for method in results.methods]
+    return _Changes(pairs, tuple(absolute_error(change, np.zeros_like(change)) for change in truth), tuple(errors))
 
 
-def _strip(results: Results, reference: Flicker, strip: _Strip, top: float) -> str:
-    """A row of what changes in truth, and one of each method's error; a column a pair of frames."""
+def _image(capture: Capture, pictures: Path, view: View, method: MethodResult | None) -> np.ndarray:
+    return capture.image(view.camera, view.frame) if method is None else read_picture(pictures / method.key, view)
+
+
+def _strips(results: Results, reference: Flicker, changes: _Changes, top: float) -> list[PictureRow]:
+    """A row of what changes in the truth, and one of each method's error; a picture for each pair of frames."""
     frames = reference.sequence.frames
-    cells = [head("")] + [head(f"{frames[t]} → {frames[t + 1]}") for t in strip.pairs]
-    cells.append(head("Change of the truth"))
-    cells += [figure(data_uri(error_map(change, top)), "change of the truth", "") for change in strip.truth]
-    for method, errors in zip(results.methods, strip.errors, strict=True):
-        flicker = _of(method.flicker, reference.sequence)
-        cells.append(head(f"Error of {tables.lower(method.label)}"))
-        for t, error in zip(strip.pairs, errors, strict=True):
-            value = tables.figure(metrics.TEMPORAL, flicker.tpsnr[t]) if flicker is not None else "–"
-            description = f"error of the change, {tables.lower(method.label)}"
-            cells.append(figure(data_uri(error_map(error, top)), description, f"{value} dB"))
-    return f'<div class="row strip" style="grid-template-columns: 8rem repeat({len(strip.pairs)}, 1fr)">{"".join(cells)}</div>'
+    names = [f"{frames[t]} → {frames[t + 1]}" for t in changes.pairs]
+
+    def strip(title: str, images: Sequence[np.ndarray], captions: Sequence[str]) -> PictureRow:
+        panels = (
+            (picture(error_map(image, top), f"{title}, frames {name}: mean {image.mean():.3f}, scale 0 to {top:g}; {caption}", name, caption),)
+            for image, name, caption in zip(images, names, captions, strict=True)
+        )
+        return PictureRow(tuple(panels), title)
+
+    rows = [strip("Change of the truth", changes.truth, [f"mean {change.mean():.3f}" for change in changes.truth])]
+    for method, errors in zip(results.methods, changes.errors, strict=True):
+        flicker = _of(method, reference.sequence)
+        values = [None if flicker is None else flicker.tpsnr[t] for t in changes.pairs]
+        captions = [f"{tables.figure(metrics.TEMPORAL, value)} dB" for value in values]
+        rows.append(strip(f"Error of {tables.lower(method.label)}", errors, captions))
+    return rows
 
 
-def _of(known: list[Flicker], sequence: FrameSequence) -> Flicker | None:
-    return next((flicker for flicker in known if flicker.sequence == sequence), None)
+def _of(method: MethodResult, sequence: FrameSequence) -> Flicker | None:
+    return next((flicker for flicker in method.flicker if flicker.sequence == sequence), None)
 
 
 def _finite(values: list[float | None]) -> list[float]:
-    """Values for a chart, which leaves a gap where one is not defined or infinite."""
+    """Values for a chart, which leaves a gap where one is undefined or infinite."""
     return [math.nan if value is None or math.isinf(value) else value for value in values]

@@ -1,119 +1,83 @@
-"""The report's rows of pictures: the truth, each method, and error maps on one scale."""
+"""Rows of pictures: the truth, each method, and error maps on one scale."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 import numpy as np
 
 from ndf_mi.capture.capture import Capture
-from ndf_mi.experiments import metrics
 from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
 from ndf_mi.experiments.flicker import read_picture
 from ndf_mi.experiments.records import Results, View
 from ndf_mi.reports import tables
-from ndf_mi.reports.pictures import absolute_error, data_uri, error_map, error_scale, gradient
+from ndf_mi.reports.pictures import PictureRow, Shot, absolute_error, body_window, error_scale, view_row
 
-ROWS = {"novel_view": 4, "novel_pose": 4, "sequence": 1, "train": 1}
-#: Pixels kept around the body's box.
-_MARGIN = 2
-#: Width over height up to which a picture leaves room for the error maps beside it, and methods up to which it does.
-_NARROW = 0.8
-_FEW = 3
+#: Views of each split that are shown.
+VIEWS: Mapping[str, int] = {"novel_view": 4, "novel_pose": 4}
 
 
 @dataclass(frozen=True)
-class _Shown:
-    """One view cut to the body: truth, then an image and an error for each method."""
+class Rows:
+    """Rows of pictures by split, under the split's name, and the upper end of the error maps' scale."""
 
-    view: View
-    truth: np.ndarray
-    images: tuple[np.ndarray, ...]
-    errors: tuple[np.ndarray, ...]
+    splits: dict[str, list[PictureRow]]
+    top: float
 
 
-def pictures_section(results: Results, capture: Capture, pictures: Path) -> str:
-    """HTML of up to `ROWS` views a split; the error maps of all of them share one labelled scale."""
-    chosen = {split: _chosen(results, split) for split in results.splits()}
-    shown = {split: [_load(results, capture, pictures, view) for view in views] for split, views in chosen.items()}
-    top = error_scale([error for views in shown.values() for view in views for error in view.errors])
-    parts = ["<h2>Pictures</h2>", scale_bar("Error maps: mean |difference| of the sRGB channels", top)]
-    for split, views in shown.items():
-        parts.append(f"<h3>{SPLIT_LABELS[split].capitalize()}</h3>")
-        parts += [_row(results, view, top) for view in views]
-    return "\n".join(parts)
+def picture_rows(results: Results, capture: Capture, pictures: Path) -> Rows:
+    """Up to `VIEWS` views of each split, with error maps that share one scale.
+
+    Args:
+        results: what was measured.
+        capture: the truth.
+        pictures: a folder for each method, by its key.
+    """
+    views = {split: spread(results, split, VIEWS.get(split, 1)) for split in results.splits()}
+    shots = {view: _shots(results, capture, pictures, view) for chosen in views.values() for view in chosen}
+    top = error_scale([shot.error for row in shots.values() for shot in row if shot.error is not None])
+    rows = {split: [view_row(shots[view], view, top) for view in chosen] for split, chosen in views.items()}
+    return Rows({SPLIT_LABELS[split].capitalize(): found for split, found in rows.items()}, top)
 
 
-def _chosen(results: Results, split: str) -> list[View]:
-    """Views spread evenly over the split's images."""
+def spread(results: Results, split: str, count: int, inner: bool = False) -> list[View]:
+    """Views spread evenly over those of a split that count in its means and that every method has, by frame.
+
+    Args:
+        results: what was measured.
+        split: whose views.
+        count: how many at most.
+        inner: leave the first and the last view out where others remain.
+    """
     views = [image.view for image in results.methods[0].images if image.sampled and image.view.split == split]
-    views.sort(key=lambda view: (view.frame, view.camera))
-    count = min(ROWS[split], len(views))
-    return [views[i] for i in np.linspace(0, len(views) - 1, count).round().astype(int)] if count else []
+    views = sorted((view for view in views if all(map(lambda m: m.find(view), results.methods))), key=lambda v: (v.frame, v.camera))
+    if not views:
+        return []
+    count = count + 2 if inner else min(count, len(views))
+    picks = np.linspace(0, len(views) - 1, count).round().astype(int)
+    return [views[i] for i in dict.fromkeys(picks[1:-1].tolist() if inner else picks.tolist())]
 
 
-def _load(results: Results, capture: Capture, pictures: Path, view: View) -> _Shown:
-    camera = capture.cameras[view.camera]
-    mask = metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)])
-    window = cut(mask)
-    truth = capture.image(view.camera, view.frame)[window]
-    images = [read_picture(pictures / method.key, view)[window] for method in results.methods]
-    return _Shown(view, truth, tuple(images), tuple(absolute_error(truth, image) for image in images))
+def truth_shot(capture: Capture, view: View) -> Shot:
+    """The truth of a view, cut to the body."""
+    image = capture.image(view.camera, view.frame)[body_window(capture, view)]
+    return Shot("Truth", image, f"camera {view.camera}, frame {view.frame}")
 
 
-def cut(mask: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns that hold `mask` (h, w) with a small margin; everything where it is empty."""
-    rectangle = metrics.bounding_rectangle(mask)
-    rows, columns = rectangle if rectangle is not None else (slice(0, mask.shape[0]), slice(0, mask.shape[1]))
-    return (
-        slice(max(rows.start - _MARGIN, 0), rows.stop + _MARGIN),
-        slice(max(columns.start - _MARGIN, 0), columns.stop + _MARGIN),
-    )
-
-
-def _row(results: Results, shown: _Shown, top: float) -> str:
-    """Truth and images beside each other; the error maps to their right if the pictures are narrow, else below."""
-    view = shown.view
-    height, width = shown.truth.shape[:2]
-    narrow = width <= _NARROW * height and len(results.methods) <= _FEW
-    labels = [method.label for method in results.methods]
-    images = [figure(data_uri(shown.truth), "truth", f"camera {view.camera}, frame {view.frame}")]
-    for method, image in zip(results.methods, shown.images, strict=True):
+def method_shots(results: Results, capture: Capture, pictures: Path, view: View) -> list[Shot]:
+    """Each method's picture of a view, cut to the body, without errors."""
+    window = body_window(capture, view)
+    shots = []
+    for method in results.methods:
         measured = method.find(view)
-        text = tables.figure("box_psnr", measured.figures["box_psnr"]) if measured else "–"
-        images.append(figure(data_uri(image), method.label, f"{text} dB"))
-    errors = [
-        figure(data_uri(error_map(error, top)), f"error of {tables.lower(label)}", f"mean {error.mean():.3f}")
-        for label, error in zip(labels, shown.errors, strict=True)
-    ]
-    heads = [head(text) for text in ("Truth", *labels)]
-    error_heads = [head(f"Error of {tables.lower(text)}") for text in labels]
-    if narrow:
-        cells = heads + error_heads + images + errors
-        return _grid(len(images) + len(errors), cells)
-    return _grid(len(images), heads + images + [head("")] + error_heads + ["<div></div>"] + errors)
+        psnr = tables.figure("box_psnr", measured.figures["box_psnr"] if measured else None)
+        shots.append(Shot(method.label, read_picture(pictures / method.key, view)[window], f"{psnr} dB"))
+    return shots
 
 
-def _grid(columns: int, cells: list[str]) -> str:
-    return f'<div class="row" style="grid-template-columns: repeat({columns}, 1fr)">{"".join(cells)}</div>'
-
-
-def head(text: str) -> str:
-    """A heading of a column, or row, of pictures."""
-    return f'<div class="head">{escape(text)}</div>'
-
-
-def figure(source: str, description: str, caption: str) -> str:
-    """A picture, what it shows for those who can't see it, and what is written below it."""
-    text = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-    return f'<figure><img src="{source}" alt="{escape(description)}">{text}</figure>'
-
-
-def scale_bar(text: str, top: float) -> str:
-    """The colour scale of error maps, 0 … `top`, and what they show."""
-    return (
-        f'<div class="scale"><span>{escape(text)}</span><span>0</span>'
-        f'<span class="bar" style="background: {gradient()}"></span><span>{top:g} and above</span></div>'
-    )
+def _shots(results: Results, capture: Capture, pictures: Path, view: View) -> list[Shot]:
+    truth = truth_shot(capture, view)
+    found = method_shots(results, capture, pictures, view)
+    return [truth, *(Shot(s.label, s.image, s.caption, absolute_error(truth.image, s.image)) for s in found)]

@@ -1,39 +1,128 @@
-"""Pictures inside the report: PNG and SVG as text that HTML can hold."""
+"""Pictures of a report: PNGs as data URIs with their alternative texts, error maps, and rows of them."""
 
 from __future__ import annotations
 
 import base64
 import io
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import matplotlib
 import numpy as np
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 from PIL import Image
 
+from ndf_mi.capture.capture import Capture
+from ndf_mi.experiments import metrics
+from ndf_mi.experiments.records import View
+
 COLOUR_MAP = "magma"
-#: Stands for the page's text colour in drawings, which follows the reader's light or dark theme.
-INK = "#123456"
-LINES = ("#3b82c4", "#d97a2b", "#7a9a3a", "#b0559e", "#c9a227", "#4aa3a2")
+#: Pixels kept around the body's box.
+MARGIN = 2
+#: The error maps of a row stand to the right of its pictures if these are at most this wide, width over height, and at most `FEW`.
+NARROW = 0.8
+FEW = 4
 
 
-def data_uri(image: np.ndarray) -> str:
-    """A PNG as a data URI; `image` (h, w, 3) is uint8, or float in [0, 1]."""
+@dataclass(frozen=True)
+class Picture:
+    """One picture of a report.
+
+    Attributes:
+        source: a data URI.
+        alt: what is seen, with its figures, for those who cannot see it.
+        label: its name, printed below.
+        caption: what is printed after the name.
+    """
+
+    source: str
+    alt: str
+    label: str = ""
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class PictureRow:
+    """Pictures next to one another: panels from left to right, the pictures of a panel from top to bottom; `title` may be empty."""
+
+    panels: tuple[tuple[Picture, ...], ...]
+    title: str = ""
+
+    @property
+    def height(self) -> int:
+        """Pictures in the highest panel."""
+        return max((len(panel) for panel in self.panels), default=0)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What a row of a view shows of one method: an image (h, w, 3), sRGB in [0, 1], and its error (h, w), where it is shown."""
+
+    label: str
+    image: np.ndarray
+    caption: str
+    error: np.ndarray | None = None
+
+
+def view_row(shots: Sequence[Shot], view: View, top: float = 1.0, reference: str = "the truth") -> PictureRow:
+    """A row of pictures of one view, with an error map for each shot that has an error.
+
+    Args:
+        shots: from left to right, cut to the same size.
+        view: what all of them show.
+        top: the error that the upper end of the colour scale stands for.
+        reference: what the errors refer to.
+    """
+    where = f"camera {view.camera}, frame {view.frame}"
+    images = [picture(shot.image, f"{shot.label}: {where}; {shot.caption}", shot.label, shot.caption) for shot in shots]
+    errors = [() if shot.error is None else (_error_picture(shot, where, top, reference),) for shot in shots]
+    height, width = shots[0].image.shape[:2]
+    if width <= NARROW * height and len(shots) <= FEW:
+        return PictureRow((*((image,) for image in images), *(error for error in errors if error)))
+    return PictureRow(tuple((image, *error) for image, error in zip(images, errors, strict=True)))
+
+
+def picture(image: np.ndarray, alt: str, label: str = "", caption: str = "") -> Picture:
+    """A picture of an image (h, w, 3): uint8, or float in [0, 1]."""
     pixels = image if image.dtype == np.uint8 else np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
     stream = io.BytesIO()
     Image.fromarray(pixels).save(stream, format="png", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+    return Picture("data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii"), alt, label, caption)
+
+
+def body_window(capture: Capture, view: View, shape: tuple[int, ...] | None = None) -> tuple[slice, slice]:
+    """Rows and columns of an image that hold the body's padded box, with a small margin; all of them where it is out of sight.
+
+    Args:
+        capture: the cameras and poses.
+        view: which image.
+        shape: (h, w, …) of the image, where it differs from the capture's.
+    """
+    return mask_window(box_mask(capture, view, shape))
+
+
+def box_mask(capture: Capture, view: View, shape: tuple[int, ...] | None = None) -> np.ndarray:
+    """(h, w) bool: the pixels of a view, of the size `shape` if given, that see the body's padded box."""
+    camera = capture.cameras[view.camera]
+    camera = camera if shape is None else camera.scaled(shape[1], shape[0])
+    return metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)])
+
+
+def mask_window(mask: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns that hold `mask` (h, w) with a small margin; all of them where it is empty."""
+    rectangle = metrics.bounding_rectangle(mask)
+    if rectangle is None:
+        return slice(0, mask.shape[0]), slice(0, mask.shape[1])
+    rows, columns = (slice(max(side.start - MARGIN, 0), side.stop + MARGIN) for side in rectangle)
+    return rows, columns
 
 
 def absolute_error(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
     """(h, w) float: |truth − image| in sRGB, averaged over the channels."""
-    return np.abs(truth.astype(np.float64) - image).mean(axis=-1)
+    return np.asarray(np.abs(truth.astype(np.float64) - image).mean(axis=-1))
 
 
 def error_scale(errors: Sequence[np.ndarray]) -> float:
-    """A round upper end for a colour scale shared by all error maps: covers 99 % of the pixels that have an error."""
+    """A round upper end for a colour scale that error maps share: at least 99 % of the pixels that have an error are below it."""
     values = np.concatenate([error.ravel() for error in errors]) if errors else np.zeros(1)
     values = values[values > 1 / 255]
     top = float(np.quantile(values, 0.99)) if values.size else 0.0
@@ -41,65 +130,18 @@ def error_scale(errors: Sequence[np.ndarray]) -> float:
 
 
 def error_map(error: np.ndarray, top: float) -> np.ndarray:
-    """(h, w, 3) uint8: an error in colours, 0 … `top`."""
-    return matplotlib.colormaps[COLOUR_MAP](np.clip(error / top, 0, 1), bytes=True)[..., :3]
+    """(h, w, 3) uint8: errors from 0 to `top` as colours."""
+    return np.asarray(matplotlib.colormaps[COLOUR_MAP](np.clip(error / top, 0, 1), bytes=True)[..., :3])
 
 
 def gradient() -> str:
-    """The colour map as a CSS gradient, low to high."""
+    """The colour map as a CSS gradient from low to high."""
     stops = (matplotlib.colors.to_hex(matplotlib.colormaps[COLOUR_MAP](step / 8)) for step in range(9))
     return f"linear-gradient(to right, {', '.join(stops)})"
 
 
-def line_chart(
-    series: Sequence[tuple[str, Sequence[float], Sequence[float]]],
-    x_label: str,
-    y_label: str,
-    title: str,
-    reference: tuple[str, Sequence[float], Sequence[float]] | None = None,
-) -> str:
-    """A small line chart as an `<svg>` element in the page's text colour.
-
-    Args:
-        series: (label, x, y) a line; NaN leaves a gap.
-        x_label, y_label: of the axes.
-        title: above the chart.
-        reference: (label, x, y) of a dashed line in the text's colour.
-    """
-    figure, axes = chart(x_label, y_label, title)
-    for index, (label, x, y) in enumerate(series):
-        # A point alone has no line.
-        marker = "o" if len(x) < 3 else None
-        axes.plot(x, y, label=label, linewidth=1.6, marker=marker, color=LINES[index % len(LINES)])
-    if reference is not None:
-        label, x, y = reference
-        marker = "_" if len(x) < 3 else None
-        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", marker=marker, color=INK, alpha=0.6)
-    if len(series) > 1 or reference is not None:
-        axes.legend(frameon=False, labelcolor=INK, fontsize=9)
-    return as_svg(figure)
-
-
-def chart(x_label: str, y_label: str, title: str, size: tuple[float, float] = (4.6, 2.9)) -> tuple[Figure, Any]:
-    """An empty chart and its axes."""
-    figure = Figure(figsize=size)
-    FigureCanvasSVG(figure)
-    axes = figure.add_subplot()
-    axes.set_xlabel(x_label, color=INK)
-    axes.set_ylabel(y_label, color=INK)
-    axes.set_title(title, color=INK, fontsize=10, loc="left")
-    axes.tick_params(colors=INK, labelsize=9)
-    axes.grid(color=INK, alpha=0.15, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(INK)
-    return figure, axes
-
-
-def as_svg(figure: Figure) -> str:
-    """The figure as an `<svg>` element; what is drawn in `INK` has the page's text colour."""
-    figure.tight_layout()
-    stream = io.StringIO()
-    with matplotlib.rc_context({"svg.hashsalt": "ndf-mi", "svg.fonttype": "none", "font.family": "sans-serif"}):
-        figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
-    text = stream.getvalue()
-    return text[text.index("<svg") :].replace(INK, "currentColor")
+def _error_picture(shot: Shot, where: str, top: float, reference: str) -> Picture:
+    assert shot.error is not None
+    caption = f"mean {shot.error.mean():.3f}, scale 0 to {top:g}"
+    alt = f"Error map of {shot.label} against {reference}: {where}; {caption}"
+    return picture(error_map(shot.error, top), alt, f"Error: {shot.label}", caption)

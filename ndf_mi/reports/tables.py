@@ -1,21 +1,24 @@
-"""The comparison's figures as rows of text, for the terminal and for the report alike."""
+"""Tables: one value that the terminal, Markdown and HTML all render, and how figures are written."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import rich.table
 
 from ndf_mi.experiments import metrics
-from ndf_mi.experiments.protocols import OURS
-from ndf_mi.experiments.records import MethodResult, Results
+from ndf_mi.experiments.records import Results
 
-HEADLINE = OURS.headline
+#: Decimals of a metric where they are not four.
 DECIMALS = {"box_psnr": 2, "box_tpsnr": 2, "psnr": 2}
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A figure as text, and whether it is the best of its column."""
+    """Text, and whether it is the best of its column."""
 
     text: str
     best: bool = False
@@ -23,52 +26,90 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """A method, or the difference of the first method to another."""
+    """A line of a table: its heading and its cells; `difference` marks the difference of two other lines."""
 
     label: str
     cells: tuple[Cell, ...]
     difference: bool = False
 
 
-def headline(results: Results) -> tuple[str, ...]:
-    """The keys of the figures that lead under the protocol that was measured by."""
-    return tuple(results.about.get("protocol", {}).get("headline", HEADLINE))
+@dataclass(frozen=True)
+class Table:
+    """A table whose lines have headings.
+
+    Attributes:
+        columns: headings of the columns, without that of the line headings.
+        rows: the lines, with as many cells as there are columns.
+        groups: (heading, number of columns) of successive columns, which cover all of them; empty for none. A heading may be empty.
+        caption: what the table shows.
+        corner: heading of the line headings.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+    groups: tuple[tuple[str, int], ...] = ()
+    caption: str = ""
+    corner: str = ""
+
+    def parts(self) -> Iterator[Table]:
+        """A table for each group, with the group's heading as its caption: for terminals, which are narrow."""
+        ends = list(itertools.accumulate(span for _, span in self.groups))
+        for (heading, span), end in zip(self.groups, ends, strict=True):
+            part = slice(end - span, end)
+            rows = tuple(replace(row, cells=row.cells[part]) for row in self.rows)
+            yield Table(self.columns[part], rows, caption=heading, corner=self.corner)
+
+    def markdown(self) -> str:
+        """The table in Markdown; columns of a group carry its heading."""
+        headings = [heading for heading, span in self.groups for _ in range(span)] or [""] * len(self.columns)
+        columns = [f"{group}: {column}" if group else column for group, column in zip(headings, self.columns, strict=True)]
+        lines = [[self.corner, *columns], ["---"] * (len(columns) + 1)]
+        lines += [[row.label, *(cell.text for cell in row.cells)] for row in self.rows]
+        return "".join("| " + " | ".join(text.replace("|", r"\|") for text in line) + " |\n" for line in lines)
+
+    def terminal(self) -> rich.table.Table:
+        """The table for a terminal, without its groups (see `parts`)."""
+        table = rich.table.Table(title=self.caption, title_justify="left", box=None, pad_edge=False)
+        table.add_column(self.corner)
+        for column in self.columns:
+            table.add_column(column, justify="right")
+        for row in self.rows:
+            table.add_row(row.label, *(cell.text for cell in row.cells), style="dim" if row.difference else "")
+        return table
 
 
-def protocol_sentence(results: Results) -> str:
-    """The protocol that was measured by, and what it says."""
-    protocol = results.about["protocol"]
-    return f"Protocol {protocol['name']}: {protocol['description']}"
+def comparison(groups: Sequence[tuple[str, Results, str]], keys: Sequence[str], caption: str = "") -> Table:
+    """The means of every method, and the difference of the first method to each other one.
 
-
-def protocol_notes(results: Results) -> list[str]:
-    """Sentences on where training, images or their number differ from the protocol's."""
-    return list(results.about.get("protocol", {}).get("notes", []))
-
-
-def rows(results: Results, split: str, keys: tuple[str, ...]) -> list[Row]:
-    """A row a method with the means over a split, and below it how far the first method is from each other one."""
-    methods = results.methods
-    columns = [[method.mean(split, key) for method in methods] for key in keys]
-    table = [
-        Row(method.label, tuple(_cell(key, column, index) for key, column in zip(keys, columns, strict=True)))
-        for index, method in enumerate(methods)
+    Args:
+        groups: (heading, results, split) of each group of columns; all results hold the same methods.
+        keys: the metrics of each group, by their keys in `metrics.LABELS`.
+        caption: what the table shows.
+    """
+    methods = [results.methods for _, results, _ in groups]
+    means = [[method.mean(split, key) for method in results.methods] for _, results, split in groups for key in keys]
+    metric = [key for _ in groups for key in keys]
+    rows = [
+        Row(same[0].label, tuple(_cell(key, column, index) for key, column in zip(metric, means, strict=True)))
+        for index, same in enumerate(zip(*methods, strict=True))
     ]
-    for index, method in enumerate(methods[1:], start=1):
-        cells = (Cell(signed(key, difference(col[0], col[index]))) for key, col in zip(keys, columns, strict=True))
-        table.append(Row(f"{methods[0].label} − {method.label}", tuple(cells), difference=True))
-    return table
+    first = rows[0].label if rows else ""
+    for index, row in enumerate(rows[1:], start=1):
+        cells = (Cell(signed(k, difference(column[0], column[index]))) for k, column in zip(metric, means, strict=True))
+        rows.append(Row(f"{first} − {row.label}", tuple(cells), difference=True))
+    headings = tuple((heading, len(keys)) for heading, _, _ in groups) if any(g[0] for g in groups) else ()
+    return Table(tuple(metrics.LABELS[key] for key in metric), tuple(rows), headings, caption, corner="Method")
 
 
 def difference(first: float | None, second: float | None) -> float | None:
-    """first − second; None where one is not defined, or both are infinite."""
+    """first − second; None where one is undefined, or both are infinite."""
     if first is None or second is None or (math.isinf(first) and math.isinf(second)):
         return None
     return first - second
 
 
 def figure(key: str, value: float | None) -> str:
-    """A figure with the decimals of its metric; “∞” for infinity, “–” where it is not defined."""
+    """A figure with the decimals of its metric; “∞” for infinity, “–” where it is undefined."""
     if value is None:
         return "–"
     if math.isinf(value):
@@ -77,13 +118,13 @@ def figure(key: str, value: float | None) -> str:
 
 
 def signed(key: str, value: float | None) -> str:
-    """A difference with its sign, in typographic minus."""
+    """A difference with its sign, as a typographic minus where it is negative."""
     text = figure(key, None if value is None else abs(value))
     return text if value is None else ("+" if value >= 0 else "−") + text
 
 
 def duration(seconds: float | None) -> str:
-    """Seconds as people read them: 0.42 s, 38 s, 6 min 05 s, 2 h 10 min."""
+    """Seconds as people read them: 0.42 s, 38 s, 6 min 05 s, 2 h 10 min; “–” for None."""
     if seconds is None:
         return "–"
     if seconds < 10:
@@ -96,20 +137,9 @@ def duration(seconds: float | None) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
-def mesh_note(method: MethodResult) -> str:
-    """How a mesh's training went, in one sentence; empty for other methods."""
-    facts = method.metadata
-    if "budget" not in facts:
-        return ""
-    how = f"trained for {duration(facts['seconds'])}"
-    if facts["budget"] is None:
-        end = "until its loss stopped falling" if facts["converged"] else "until the limit of steps"
-        how = f"{how}, {end}"
-    text = f"{method.label}: {how}, {facts['steps']} steps, learning rate {facts['rate']:g}"
-    if "offset_rate" in facts:
-        text += (f", offsets' first step {facts['offset_rate']:g} m; offsets of {facts['offset_median_mm']:.0f} mm in the median, "
-                 f"{facts['offset_max_mm']:.0f} mm at most")
-    return text + "."
+def count(number: int, noun: str) -> str:
+    """“1 image”, “12 images”, “1,200 images”."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def lower(label: str) -> str:
@@ -117,7 +147,7 @@ def lower(label: str) -> str:
     return label if label[:2].isupper() else label[:1].lower() + label[1:]
 
 
-def _cell(key: str, column: list[float | None], index: int) -> Cell:
+def _cell(key: str, column: Sequence[float | None], index: int) -> Cell:
     defined = [value for value in column if value is not None]
     best = (max if metrics.HIGHER_IS_BETTER[key] else min)(defined, default=None)
     value = column[index]

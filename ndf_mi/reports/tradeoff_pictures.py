@@ -1,45 +1,33 @@
-"""Pictures at the knees: what the ends and the knee of each front look like, beside truth and convergence."""
+"""Pictures of the ends and the knee of each Pareto front, with the truth and the converged picture."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image
 from skimage.transform import resize
 
 from ndf_mi.capture.capture import Capture
-from ndf_mi.experiments import metrics
-from ndf_mi.experiments.evaluate import LABELS
+from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
+from ndf_mi.experiments.flicker import read_picture
 from ndf_mi.experiments.records import View
-from ndf_mi.experiments.trade.results import Row, Trade, reference_of
-from ndf_mi.reports import pictures, tables
-
-if TYPE_CHECKING:
-    from ndf_mi.reports.tradeoff import Group
-
-_PICTURES = "pictures"
+from ndf_mi.experiments.trade.results import Row, reference_of
+from ndf_mi.reports import tables
+from ndf_mi.reports.fronts import Group
+from ndf_mi.reports.pictures import PictureRow, Shot, absolute_error, body_window, error_scale, view_row
 
 
-def knees(groups: Sequence[Group], trade: Trade, capture: Capture, folder: Path) -> str:
-    """A block a group, of its fastest point, its knee and its best: the picture, and below it the error that the group is about.
+def front_rows(group: Group, capture: Capture, pictures: Path) -> list[PictureRow]:
+    """A row for a view of each split: the fastest point of the front, its knee and its best, each with the error that the group measures.
 
     Args:
-        groups: the fronts.
-        trade: what was measured.
+        group: the points.
         capture: the truth.
-        folder: of the study, which holds the pictures.
+        pictures: a folder for each point, by its key, and for each converged picture.
     """
-    parts = [f'<div class="scale"><span>error 0</span><span class="bar" style="background: {pictures.gradient()}"></span>'
-             "<span>as noted under each, mean of the channels in sRGB</span></div>"]
-    for group in groups:
-        chosen = list(dict.fromkeys([group.front[0], *([group.knee] if group.knee is not None else []), group.front[-1]]))
-        parts.append(f"<h3>{escape(group.title)}</h3>")
-        parts += [_row(group, chosen, view, capture, folder) for view in _views(group.rows[chosen[0]])]
-    return "\n".join(parts)
+    chosen = list(dict.fromkeys([group.front[0], *([] if group.knee is None else [group.knee]), group.front[-1]]))
+    return [_row(group, chosen, view, capture, pictures) for view in _views(group.rows[chosen[0]])]
 
 
 def _views(row: Row) -> list[View]:
@@ -50,49 +38,26 @@ def _views(row: Row) -> list[View]:
     return list(first.values())
 
 
-def _row(group: Group, chosen: Sequence[int], view: View, capture: Capture, folder: Path) -> str:
+def _row(group: Group, chosen: Sequence[int], view: View, capture: Capture, pictures: Path) -> PictureRow:
     rows = [group.rows[i] for i in chosen]
-    by_truth = "truth" in group.quality
-    images = [_read(folder / _PICTURES / row.key / view.file) for row in rows]
-    # Fields differ from row to row where they were trained by the study: there the truth alone is common to all.
-    common = _read(folder / _PICTURES / reference_of(rows[0].field, None if rows[0].by_paths else 1) / view.file)
-    shape = images[0].shape
+    images = [read_picture(pictures / row.key, view) for row in rows]
     truth = capture.image(view.camera, view.frame)
-    truth = truth if truth.shape == shape else np.asarray(resize(truth, shape, order=1, anti_aliasing=True), dtype=np.float32)
-    references = [truth if by_truth else _read(folder / _PICTURES / row.reference / view.file) for row in rows]
-    errors = [pictures.absolute_error(a, b) for a, b in zip(references, images, strict=True)]
-    top = pictures.error_scale(errors)
-    box = _box(capture, view, shape)
-    heads, above, below = [], [], []
-    if by_truth:
-        heads, above, below = ["Truth"], [_figure(truth[box], f"{LABELS[view.split]}, camera {view.camera}, frame {view.frame}")], [""]
-    if not by_truth or len({row.field for row in rows}) == 1:
-        heads.append("Converged")
-        above.append(_figure(common[box], f"camera {view.camera}, frame {view.frame}"))
-        below.append(_figure(pictures.error_map(pictures.absolute_error(truth, common)[box], top), f"0 to {top:g}") if by_truth else "")
+    if truth.shape != images[0].shape:
+        truth = np.asarray(resize(truth, images[0].shape, order=1, anti_aliasing=True), dtype=np.float32)
+    # Each trained field has a converged picture of its own; only the truth is common to all.
+    converged = read_picture(pictures / reference_of(rows[0].field, None if rows[0].by_paths else 1), view)
+    references = [truth if group.by_truth else read_picture(pictures / row.reference, view) for row in rows]
+    window = body_window(capture, view, truth.shape)
+    errors = [absolute_error(a, b) for a, b in zip(references, images, strict=True)]
+    top = error_scale(errors)
+    where = f"camera {view.camera}, frame {view.frame}"
+    shots = [Shot("Truth", truth[window], f"{SPLIT_LABELS[view.split]}, {where}")] if group.by_truth else []
+    if not group.by_truth or len({row.field for row in rows}) == 1:
+        error = absolute_error(truth, converged)[window] if group.by_truth else None
+        shots.append(Shot("Converged", converged[window], where, error))
     for index, row, image, error in zip(chosen, rows, images, errors, strict=True):
-        name = "knee" if index == group.knee else "fastest" if index == group.front[0] else "best"
-        heads.append(f"{name.capitalize()}: {row.label}")
-        value = next(f for f in row.figures if f.view == view)
-        decibel = value.truth.get("box_psnr") if by_truth else value.converged
-        above.append(_figure(image[box], f"{tables.duration(row.frame_seconds)}, {tables.figure('psnr', decibel)} dB"))
-        below.append(_figure(pictures.error_map(error[box], top), f"0 to {top:g}"))
-    cells = "".join(f'<div class="head">{escape(text)}</div>' for text in heads) + "".join(above) + "".join(
-        cell or "<div></div>" for cell in below)
-    return f'<div class="row" style="grid-template-columns: repeat({len(heads)}, 1fr)">{cells}</div>'
-
-
-def _box(capture: Capture, view: View, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """The rectangle of the body's box on so many pixels."""
-    camera = capture.cameras[view.camera].scaled(shape[1], shape[0])
-    found = metrics.bounding_rectangle(metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)]))
-    return found or (slice(None), slice(None))
-
-
-def _read(file: Path) -> np.ndarray:
-    with Image.open(file) as picture:
-        return np.asarray(picture.convert("RGB"), dtype=np.float32) / 255
-
-
-def _figure(image: np.ndarray, caption: str) -> str:
-    return f'<figure><img src="{pictures.data_uri(image)}" alt="{escape(caption)}"><figcaption>{escape(caption)}</figcaption></figure>'
+        name = "Knee" if index == group.knee else "Fastest" if index == group.front[0] else "Best"
+        found = next(f for f in row.figures if f.view == view)
+        psnr = tables.figure("psnr", found.truth.get("box_psnr") if group.by_truth else found.converged)
+        shots.append(Shot(f"{name}: {row.label}", image[window], f"{tables.duration(row.frame_seconds)}, {psnr} dB", error[window]))
+    return view_row(shots, view, top, "the truth" if group.by_truth else "convergence")

@@ -1,0 +1,81 @@
+"""What reports print of the training of methods: times, curves and sentences, from the keys that `methods/base.py` documents."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from ndf_mi.experiments.records import MethodResult, Results
+from ndf_mi.reports import charts, tables
+from ndf_mi.reports.charts import Chart
+from ndf_mi.reports.page import Fact, settings_text
+from ndf_mi.reports.tables import Cell, Row, Table
+
+
+def notes(results: Results) -> list[str]:
+    """A sentence or two for each method that has something to say of its training."""
+    return [note for note in map(_note, results.methods) if note]
+
+
+def equal_time_notes(results: Results) -> list[str]:
+    """A sentence for each method that converged within the time given to the others, and so was not trained for that time as well."""
+    equal = results.about["equal_seconds"]
+    keys = {method.key for method in results.methods}
+    return [
+        f"{method.label}: training converged within the first method’s training time ({tables.duration(equal)}), so this row is also its "
+        "result at equal time."
+        for method in results.methods
+        if method.metadata.get("converged") and method.metadata["seconds"] <= equal
+        and method.key.replace("converged", "equal-time") not in keys
+    ]
+
+
+def times(results: Results) -> Table:
+    """Seconds and steps of training, and seconds an image."""
+    rows = [
+        Row(method.label, tuple(map(Cell, (
+            tables.duration(method.metadata.get("seconds")),
+            "–" if method.metadata.get("steps") is None else f"{method.metadata['steps']:,}",
+            tables.duration(method.seconds_an_image()),
+        ))))
+        for method in results.methods
+    ]
+    return Table(("Training time", "Training steps", "Rendering time per image, median"), tuple(rows), corner="Method")
+
+
+def curves(results: Results) -> Chart | None:
+    """PSNR of the training loss over time, for every method that kept its training curve; None where none did."""
+    lines = []
+    for method in results.methods:
+        points = [(s, -10 * math.log10(loss)) for _, s, loss in method.metadata.get("history", ()) if loss > 0 and s > 0]
+        if points:
+            seconds, psnr = zip(*points, strict=True)
+            lines.append((method.label, seconds, psnr))
+    title = "PSNR of the training loss"
+    return charts.line_chart(lines, "seconds of training", "PSNR (dB)", title, log_x=True) if lines else None
+
+
+def metadata_fact(method: MethodResult) -> Fact:
+    """Everything that a method reports of itself, except its curve and its note."""
+    shown = {key: value for key, value in method.metadata.items() if key not in ("history", "note") and value is not None}
+    plain = {key: value for key, value in shown.items() if not isinstance(value, (Mapping, list, tuple))}
+    nested = {key: value for key, value in shown.items() if isinstance(value, Mapping) and value}
+    lines = [settings_text(plain), *(f"{_name(key)}: {settings_text(value)}" for key, value in nested.items())]
+    return Fact(method.label, tuple(line for line in lines if line) or ("–",))
+
+
+def _note(method: MethodResult) -> str:
+    known: Mapping[str, Any] = method.metadata
+    parts = []
+    if "converged" in known and known.get("seconds") is not None:
+        end = ""
+        if known.get("budget") is None:
+            end = ", until its loss stopped falling" if known["converged"] else ", until the limit of steps"
+        parts.append(f"trained for {tables.duration(known['seconds'])}{end}, {known.get('steps', 0):,} steps.")
+    parts += [known["note"]] if known.get("note") else []
+    return f"{method.label}: {' '.join(parts)}" if parts else ""
+
+
+def _name(key: str) -> str:
+    return "training loss by learning rate" if key == "sweep" else key.replace("_", " ")
