@@ -50,7 +50,7 @@ from ndf_mi.experiments.trade.memory import MEANING, peak_memory  # noqa: E402
 from ndf_mi.model import networks_here  # noqa: E402
 from ndf_mi.render.settings import Setting  # noqa: E402
 from ndf_mi.reports.charts import growth_chart  # noqa: E402
-from ndf_mi.reports.growth import Curve, write_growth_report  # noqa: E402
+from ndf_mi.reports.page import Fact, write_page  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 CURVES = ("rays", "samples", "triangles", "posing", "frames", "width")
@@ -215,8 +215,9 @@ def write(points: list[Point], options: Options) -> None:
             charts.append(growth_chart(growth, RAISED.get(curve, curve), unit, cost))
             sentences.append(growth.sentence(cost, RAISED.get(curve, curve), unit))
         print(f"{curve}\n  " + "\n  ".join(sentences))
-        curves.append(Curve(curve, charts, sentences))
-    write_growth_report(options.out / "growth.html", curves, options.repeats, MEANING, machine.describe())
+        curves.append({"name": curve, "charts": charts, "sentences": sentences})
+    origin = [Fact(label, (value,)) for label, value in machine.describe().items()]
+    write_page(options.out / "growth.html", "growth.html.j2", curves=curves, repeats=options.repeats, memory=MEANING, origin=origin)
     print(f"\n{options.out / 'growth.html'}")
 
 

@@ -18,7 +18,6 @@ from ndf_mi.methods import registry
 from ndf_mi.methods.base import Budget, Method, Renderer
 from ndf_mi.reports.compare import write_report
 from ndf_mi.run import Run
-from ndf_mi.training_log import read_training_log
 
 RESULTS = "compare.json"
 REPORT = "report.html"

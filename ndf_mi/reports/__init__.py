@@ -1,4 +1,4 @@
-"""Reports of experiments: each is one HTML file that opens anywhere, made of templates and one style sheet."""
+"""Reports of experiments: one HTML file each, made of templates and one style sheet."""
 
 from __future__ import annotations
 

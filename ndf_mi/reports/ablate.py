@@ -1,4 +1,4 @@
-"""The report of an ablation study: what each part is worth on a capture, compared with the published figures."""
+"""The report of an ablation study: what each part is worth, compared with the published figures."""
 
 from __future__ import annotations
 
@@ -20,11 +20,15 @@ from ndf_mi.reports.tables import Cell, Row, Table
 
 #: PSNR in dB on ZJU-MoCap 313, novel views and novel poses (Zhang and Chen 2022, the table of ablations).
 PAPER = {
-    "full": (29.75, 23.41), "naked": (23.65, 21.71), "no-pose": (21.98, 20.43), "no-projection": (29.73, 18.42),
-    "no-deform": (29.72, 23.35), "one-piece": (29.93, 23.38),
-}  # fmt: skip
+    "full": (29.75, 23.41),
+    "naked": (23.65, 21.71),
+    "no-pose": (21.98, 20.43),
+    "no-projection": (29.73, 18.42),
+    "no-deform": (29.72, 23.35),
+    "one-piece": (29.93, 23.38),
+}
 HELD_OUT = ("novel_view", "novel_pose")
-#: Differences up to this many dB count as none. The paper's text calls rows level that differ by up to 0.18 dB.
+#: Differences up to this many dB count as none. The paper calls rows level that differ by up to 0.18 dB.
 LEVEL = 0.25
 #: Splits in the table, where the capture has them.
 SPLITS = (*HELD_OUT, "sequence")
@@ -35,19 +39,19 @@ VIEWS = 2
 
 @dataclass(frozen=True)
 class Agreement:
-    """The difference in dB of box PSNR between a variant and the full model on one split, here and in the paper."""
+    """A variant's difference to the full model in box PSNR (dB) on one split, here and in the paper."""
 
     here: float
     paper: float
 
     @property
     def agrees(self) -> bool:
-        """Whether both put the variant behind the full model, both level with it to within `LEVEL`, or both ahead of it."""
+        """Whether both put the variant behind the full model, both level with it, or both ahead of it."""
         return _side(self.here) == _side(self.paper)
 
 
 def agreement(results: Results, name: str, split: str) -> Agreement | None:
-    """A variant's differences to the full model on a split; None if a figure of the variant, full model or paper is missing."""
+    """A variant's differences to the full model on a split; None if one of the figures is missing."""
     variant = results.method(name)
     here = None if variant is None else _to_full(results, variant, split)
     if split not in HELD_OUT or name not in PAPER or here is None:
@@ -57,7 +61,7 @@ def agreement(results: Results, name: str, split: str) -> Agreement | None:
 
 
 def order(results: Results, split: str) -> tuple[int, int] | None:
-    """How many pairs of variants are in the paper's order, and how many pairs differ by more than `LEVEL` in the paper.
+    """How many of the pairs that the paper separates by more than `LEVEL` are in its order, and their number.
 
     None where there are no such pairs.
     """
@@ -75,7 +79,7 @@ def order(results: Results, split: str) -> tuple[int, int] | None:
 
 
 def table(results: Results) -> Table:
-    """Figures of each variant on each split, its difference to the full model, and the same difference in the paper."""
+    """Figures of each variant on each split, and its difference to the full model here and in the paper."""
     splits = _splits(results)
     columns = (*METRICS.values(), "compared with full", "in the paper")
     rows = []
@@ -94,10 +98,13 @@ def table(results: Results) -> Table:
 
 def markdown(results: Results) -> str:
     """The table and its notes in Markdown."""
-    return "\n".join([table(results).markdown(), *_orders(results), *page.protocol_notes(results.about)]) + "\n"
+    notes = [*_orders(results), *page.protocol_notes(results.about)]
+    return "\n".join([table(results).markdown(), *notes]) + "\n"
 
 
-def write_ablation_report(path: str | os.PathLike[str], results: Results, capture: Capture, pictures: Path) -> None:
+def write_ablation_report(
+    path: str | os.PathLike[str], results: Results, capture: Capture, pictures: Path
+) -> None:
     """Writes the HTML file, and `table.md` next to it.
 
     Args:
@@ -114,7 +121,8 @@ def write_ablation_report(path: str | os.PathLike[str], results: Results, captur
         level=LEVEL,
         table=table(results),
         notes=[*_orders(results), *page.protocol_notes(about)],
-        rows={SPLIT_LABELS[split].capitalize(): _rows(results, split, capture, pictures) for split in _splits(results)},
+        rows={split: _rows(results, split, capture, pictures) for split in _splits(results)},
+        labels=SPLIT_LABELS,
         variants=[Fact(method.label, (_variant(method),)) for method in results.methods],
         origin=page.origin(
             about, page.capture_fact(about), page.protocol_fact(about), Fact("Images measured", (measured,)),
@@ -141,22 +149,25 @@ def _splits(results: Results) -> list[str]:
 
 def _orders(results: Results) -> list[str]:
     """A sentence for each split on the order of the variants."""
-    found = [(split, order(results, split)) for split in _splits(results)]
+    found = [(SPLIT_LABELS[split].capitalize(), order(results, split)) for split in _splits(results)]
     return [
-        f"{SPLIT_LABELS[split].capitalize()}: {pair[0]} of {tables.count(pair[1], 'pair')} of variants that the paper separates by more than {LEVEL} dB are in its order."
-        for split, pair in found if pair is not None
+        f"{split}: {known[0]} of {tables.count(known[1], 'pair')} of variants that the paper separates by "
+        f"more than {LEVEL} dB are in its order."
+        for split, known in found if known is not None
     ]
 
 
 def _rows(results: Results, split: str, capture: Capture, pictures: Path) -> list[PictureRow]:
     views = spread(results, split, VIEWS, inner=True)
-    return [view_row([truth_shot(capture, view), *method_shots(results, capture, pictures, view)], view) for view in views]
+    shots = ([truth_shot(capture, view), *method_shots(results, capture, pictures, view)] for view in views)
+    return [view_row(row, view) for row, view in zip(shots, views, strict=True)]
 
 
 def _variant(method: MethodResult) -> str:
     """What a variant changes, and how long it took."""
     parts = [ABLATIONS[method.key].meaning] if method.key in ABLATIONS else []
     if method.metadata.get("steps"):
-        parts.append(f"{method.metadata['steps']:,} training steps in {tables.duration(method.metadata.get('seconds'))}, "
-                     f"{tables.duration(method.seconds_an_image())} per image")
+        training = tables.duration(method.metadata.get("seconds"))
+        rendering = tables.duration(method.seconds_an_image())
+        parts.append(f"{method.metadata['steps']:,} training steps in {training}, {rendering} per image")
     return "; ".join(parts) or "–"

@@ -21,7 +21,7 @@ from ndf_mi.experiments.trade.growth import Growth
 #: Stands for the page's text colour in drawings; it follows the reader's light or dark theme.
 INK = "#123456"
 LINES = ("#3b82c4", "#d97a2b", "#7a9a3a", "#b0559e", "#c9a227", "#4aa3a2")
-#: Font size in points, and widths and heights in inches: legible where a chart is scaled to the width of a phone.
+#: Font size in points, widths and heights in inches: legible where a chart shrinks to the width of a phone.
 _FONT = 9
 _SMALL, _LARGE = (4.6, 2.8), (5.0, 3.8)
 
@@ -45,7 +45,12 @@ Series = tuple[str, Sequence[float], Sequence[float]]
 
 
 def line_chart(
-    series: Sequence[Series], x_label: str, y_label: str, title: str, reference: Series | None = None, log_x: bool = False
+    series: Sequence[Series],
+    x_label: str,
+    y_label: str,
+    title: str,
+    reference: Series | None = None,
+    log_x: bool = False,
 ) -> Chart:
     """A small line chart.
 
@@ -62,13 +67,15 @@ def line_chart(
         axes.plot(x, y, label=label, linewidth=1.6, color=LINES[index % len(LINES)], marker=_marker(x, "o"))
     if reference is not None:
         label, x, y = reference
-        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", color=INK, alpha=0.6, marker=_marker(x, "_"))
+        marker = _marker(x, "_")
+        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", color=INK, alpha=0.6, marker=marker)
     if log_x:
         axes.set_xscale("log")
         _ticks(axes.xaxis, max(max(x) for _, x, _ in lines) / min(min(x) for _, x, _ in lines))
     if len(lines) > 1:
         _legend(axes, columns=2)
-    return _chart(figure, title, f"Line chart of {y_label} against {x_label}. " + " ".join(map(_describe, lines)))
+    alt = f"Line chart of {y_label} against {x_label}. " + " ".join(map(_describe, lines))
+    return _chart(figure, title, alt)
 
 
 def front_chart(
@@ -92,17 +99,19 @@ def front_chart(
     """
     figure, axes = _axes(x_label, y_label, size=_LARGE)
     axes.set_xscale("log")
+    hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none"}
     rest = [point for index, point in enumerate(points) if index not in front]
-    axes.plot([x for _, x, _ in rest], [y for _, _, y in rest], "o", color=INK, markerfacecolor="none", alpha=0.55, markersize=4,
-              label="dominated")
-    axes.plot([points[i][1] for i in front], [points[i][2] for i in front], "o-", color=LINES[0], linewidth=1.4, markersize=5,
-              label="Pareto front")
+    x, y = [x for _, x, _ in rest], [y for _, _, y in rest]
+    axes.plot(x, y, **hollow, color=INK, alpha=0.55, markersize=4, label="dominated")
+    x, y = [points[i][1] for i in front], [points[i][2] for i in front]
+    axes.plot(x, y, "o-", color=LINES[0], linewidth=1.4, markersize=5, label="Pareto front")
     if knee is not None:
-        axes.plot(points[knee][1], points[knee][2], "o", color=LINES[1], markerfacecolor="none", markersize=12, markeredgewidth=1.6,
-                  label="knee")
+        ring = {"color": LINES[1], "markersize": 12, "markeredgewidth": 1.6, "label": "knee"}
+        axes.plot(points[knee][1], points[knee][2], **hollow, **ring)
     _name_points(axes, points, front, knee)
     if reference is not None:
-        axes.axhline(reference[1], color=INK, linestyle="--", linewidth=1.0, alpha=0.6, label=reference[0])
+        label, level = reference
+        axes.axhline(level, color=INK, linestyle="--", linewidth=1.0, alpha=0.6, label=label)
     # Names stand left of their points, where a front has no other point above and before.
     low, high = min(x for _, x, _ in points), max(x for _, x, _ in points)
     reach = max(high / low, 1.2)
@@ -110,9 +119,10 @@ def front_chart(
     axes.margins(y=0.1)
     _ticks(axes.xaxis, reach)
     _legend(axes, columns=4)
-    named = "; ".join(f"{points[i][0]}: {points[i][1]:.3g}, {points[i][2]:.2f}{' (knee)' if i == knee else ''}" for i in front)
-    level = "" if reference is None else f" Dashed line: {reference[0]}, {reference[1]:.2f}."
-    return _chart(figure, title, f"Scatter chart of {y_label} against {x_label}: {len(points)} points. On the Pareto front: {named}.{level}")
+    names = ["{}: {:.3g}, {:.2f}".format(*points[i]) + " (knee)" * (i == knee) for i in front]
+    alt = f"Scatter chart of {y_label} against {x_label}: {len(points)} points. On the Pareto front: "
+    alt += "; ".join(names) + "." + ("" if reference is None else f" Dashed line: {label}, {level:.2f}.")
+    return _chart(figure, title, alt)
 
 
 def growth_chart(growth: Growth, x_label: str, y_label: str, title: str) -> Chart:
@@ -130,8 +140,9 @@ def growth_chart(growth: Growth, x_label: str, y_label: str, title: str) -> Char
     if high < 2 * low:
         axes.set_ylim(low / 1.5, high * 1.5)
     _legend(axes, columns=2)
-    measured = "; ".join(f"{y:.3g} at {x:,g}" for x, y in zip(growth.x, growth.y, strict=True))
-    return _chart(figure, title, f"Chart of {y_label} against {x_label}, fitted by {growth.formula()}. Measured: {measured}.")
+    alt = f"Chart of {y_label} against {x_label}, fitted by {growth.formula()}. Measured: "
+    alt += "; ".join(f"{y:.3g} at {x:,g}" for x, y in zip(growth.x, growth.y, strict=True)) + "."
+    return _chart(figure, title, alt)
 
 
 def _axes(x_label: str, y_label: str, size: tuple[float, float] = _SMALL) -> tuple[Figure, Any]:
@@ -164,8 +175,10 @@ def _chart(figure: Figure, title: str, alt: str) -> Chart:
     return Chart(title, alt, re.sub(r' (width|height)="[^"]*"', "", opening) + ">" + rest)
 
 
-def _name_points(axes: Any, points: Sequence[tuple[str, float, float]], front: Sequence[int], knee: int | None) -> None:
-    """Writes the names of the front's points, except of those so close above the last one named that the names would overlap."""
+def _name_points(
+    axes: Any, points: Sequence[tuple[str, float, float]], front: Sequence[int], knee: int | None
+) -> None:
+    """Writes the names of the front's points, except where one would overlap the name below it."""
     named: list[int] = []
     height = max(y for _, _, y in points) - min(y for _, _, y in points)
     for index in front:
@@ -173,12 +186,14 @@ def _name_points(axes: Any, points: Sequence[tuple[str, float, float]], front: S
         if named and index not in (knee, front[-1]) and y - points[named[-1]][2] < 0.04 * height:
             continue
         named.append(index)
-        axes.annotate(label, (x, y), xytext=(-5, 5), textcoords="offset points", fontsize=_FONT, color=INK, horizontalalignment="right")
+        style = {"fontsize": _FONT, "color": INK, "horizontalalignment": "right"}
+        axes.annotate(label, (x, y), xytext=(-5, 5), textcoords="offset points", **style)
 
 
 def _legend(axes: Any, columns: int) -> None:
     """A legend above the drawing."""
-    axes.legend(frameon=False, labelcolor=INK, fontsize=_FONT, loc="lower left", bbox_to_anchor=(0, 1), ncols=columns, borderaxespad=0.2)
+    place = {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0.2}
+    axes.legend(frameon=False, labelcolor=INK, fontsize=_FONT, ncols=columns, **place)
 
 
 def _ticks(axis: Any, reach: float) -> None:
@@ -198,6 +213,6 @@ def _describe(series: Series) -> str:
     finite = [(a, b) for a, b in zip(x, y, strict=True) if math.isfinite(b)]
     if not finite:
         return f"{label}: no finite value."
-    values = [b for _, b in finite]
-    return (f"{label}: from {finite[0][1]:.4g} at {finite[0][0]:.4g} to {finite[-1][1]:.4g} at {finite[-1][0]:.4g}, "
-            f"lowest {min(values):.4g}, highest {max(values):.4g}.")
+    (start, first), (end, last), values = finite[0], finite[-1], [b for _, b in finite]
+    span = f"from {first:.4g} at {start:.4g} to {last:.4g} at {end:.4g}"
+    return f"{label}: {span}, lowest {min(values):.4g}, highest {max(values):.4g}."

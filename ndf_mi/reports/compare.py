@@ -56,7 +56,8 @@ def write_report(path: str | os.PathLike[str], results: Results, capture: Captur
         padding=100 * BOX_PADDING,
         origin=page.origin(
             about, Fact("Run", (about["run"],)), page.capture_fact(about), page.protocol_fact(about),
-            Fact("Settings", (page.settings_text(about["settings"]),)), *map(training.metadata_fact, results.methods)),
+            Fact("Settings", (page.settings_text(about["settings"]),)),
+            *map(training.metadata_fact, results.methods)),
     )
 
 
@@ -80,14 +81,18 @@ def _cards(results: Results) -> list[_Card]:
     cards = []
     for split in (split for split in _held_out(results) if split != "sequence"):
         mine = first.mean(split, "box_psnr")
-        gains = [(tables.difference(mine, other.mean(split, "box_psnr")), other.label) for other in others]
-        texts = [f"{tables.signed('box_psnr', gain)} dB compared with {tables.lower(label)}" for gain, label in gains]
+        gains = (tables.difference(mine, other.mean(split, "box_psnr")) for other in others)
+        texts = [
+            f"{tables.signed('box_psnr', gain)} dB compared with {tables.lower(other.label)}"
+            for gain, other in zip(gains, others, strict=True)
+        ]
         cards.append(_Card(f"{first.label}, {SPLIT_LABELS[split]}", tables.figure("box_psnr", mine), texts))
     return cards
 
 
 def _full_table(results: Results, split: str) -> Table:
     pairs = sum(len(known.tpsnr) for known in results.methods[0].flicker if known.sequence.split == split)
-    caption = f"{SPLIT_LABELS[split].capitalize()}, means over {tables.count(results.about['measured'][split], 'image')}"
+    images = tables.count(results.about["measured"][split], "image")
+    caption = f"{SPLIT_LABELS[split].capitalize()}, means over {images}"
     caption += f"; tPSNR over {tables.count(pairs, 'pair')} of frames" if pairs else ""
     return tables.comparison([("", results, split)], tuple(metrics.LABELS), caption)

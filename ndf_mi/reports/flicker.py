@@ -1,4 +1,4 @@
-"""Temporal consistency in a report: its course over each sequence, and strips that show where changes are wrong."""
+"""Temporal consistency: a chart of each sequence, and strips that show where changes are wrong."""
 
 from __future__ import annotations
 
@@ -17,11 +17,19 @@ from ndf_mi.experiments.flicker import read_picture
 from ndf_mi.experiments.records import Flicker, FrameSequence, MethodResult, Results, View
 from ndf_mi.reports import charts, tables
 from ndf_mi.reports.charts import Chart
-from ndf_mi.reports.pictures import PictureRow, absolute_error, box_mask, error_map, error_scale, mask_window, picture
+from ndf_mi.reports.pictures import (
+    PictureRow,
+    absolute_error,
+    box_mask,
+    error_map,
+    error_scale,
+    mask_window,
+    picture,
+)
 
 #: Pairs of frames in a strip.
 PAIRS = 5
-#: Motion of the body between frames, in mm, above which changes show motion more than flicker: walking at 30 frames a second.
+#: Motion between frames, in mm, above which changes show motion more than flicker: walking at 30 fps.
 SMOOTH = 50
 
 
@@ -45,7 +53,7 @@ class Section:
 
 @dataclass(frozen=True)
 class _Changes:
-    """Pairs of frames cut to the body: (h, w) of what changes in the truth, and of each method's error of the change."""
+    """(h, w) changes of the truth and errors of each method, for pairs of frames, cut to the body."""
 
     pairs: tuple[int, ...]
     truth: tuple[np.ndarray, ...]
@@ -64,11 +72,12 @@ def flicker_section(results: Results, capture: Capture, pictures: Path) -> Secti
     if not known:
         return None
     changes = [_load(results, capture, pictures, flicker.sequence) for flicker in known]
-    top = error_scale([image for change in changes for row in (change.truth, *change.errors) for image in row])
-    sequences = [
-        ShownSequence(SPLIT_LABELS[flicker.sequence.split].capitalize(), _describe(flicker, capture), _strips(results, flicker, change, top))
-        for flicker, change in zip(known, changes, strict=True)
-    ]
+    top = error_scale([image for of in changes for row in (of.truth, *of.errors) for image in row])
+    sequences = []
+    for flicker, change in zip(known, changes, strict=True):
+        title = SPLIT_LABELS[flicker.sequence.split].capitalize()
+        strips = _strips(results, flicker, change, top)
+        sequences.append(ShownSequence(title, _describe(flicker, capture), strips))
     return Section([_chart(results, flicker) for flicker in known], sequences, top)
 
 
@@ -77,17 +86,18 @@ def _chart(results: Results, reference: Flicker) -> Chart:
     found = ((method.label, _of(method, reference.sequence)) for method in results.methods)
     series = [(label, x, _finite(flicker.tpsnr)) for label, flicker in found if flicker is not None]
     title = f"{SPLIT_LABELS[reference.sequence.split].capitalize()}: temporal PSNR"
-    return charts.line_chart(series, "frame", "temporal PSNR (dB)", title, ("a still picture", x, _finite(reference.frozen)))
+    still = ("a still picture", x, _finite(reference.frozen))
+    return charts.line_chart(series, "frame", "temporal PSNR (dB)", title, still)
 
 
 def _describe(flicker: Flicker, capture: Capture) -> str:
-    sequence = flicker.sequence
-    rows = [capture.poses.index(frame) for frame in sequence.frames]
-    moved = 1000 * float(np.median(np.linalg.norm(np.diff(capture.poses.vertices[rows], axis=0), axis=-1)))
+    frames = flicker.sequence.frames
+    vertices = capture.poses.vertices[[capture.poses.index(frame) for frame in frames]]
+    moved = 1000 * float(np.median(np.linalg.norm(np.diff(vertices, axis=0), axis=-1)))
     still = tables.figure(metrics.TEMPORAL, metrics.average(flicker.frozen))
     text = (
-        f"Camera {sequence.camera}, {len(sequence.frames)} frames from {sequence.frames[0]} to {sequence.frames[-1]}. The body’s vertices "
-        f"move {moved:.0f} mm between frames (median). A still picture would reach {still} dB."
+        f"Camera {flicker.sequence.camera}, {len(frames)} frames from {frames[0]} to {frames[-1]}. The "
+        f"body’s vertices move {moved:.0f} mm between frames (median). A still picture reaches {still} dB."
     )
     if moved > SMOOTH:
         text += " Frames this far apart show motion more than flicker."
@@ -104,28 +114,34 @@ def _load(results: Results, capture: Capture, pictures: Path, sequence: FrameSeq
         images = {t: _image(capture, pictures, views[t], method)[window] for t in frames}
         return [images[t + 1] - images[t] for t in pairs]
 
+    def compare(found: list[np.ndarray]) -> tuple[np.ndarray, ...]:
+        return tuple(absolute_error(a, b) for a, b in zip(truth, found, strict=True))
+
     truth = changes(None)
-    errors = [tuple(absolute_error(a, b) for a, b in zip(truth, changes(method), strict=True)) for method in results.methods]
-    return _Changes(pairs, tuple(absolute_error(change, np.zeros_like(change)) for change in truth), tuple(errors))
+    still = [np.zeros_like(change) for change in truth]
+    return _Changes(pairs, compare(still), tuple(compare(changes(method)) for method in results.methods))
 
 
 def _image(capture: Capture, pictures: Path, view: View, method: MethodResult | None) -> np.ndarray:
-    return capture.image(view.camera, view.frame) if method is None else read_picture(pictures / method.key, view)
+    if method is None:
+        return capture.image(view.camera, view.frame)
+    return read_picture(pictures / method.key, view)
 
 
 def _strips(results: Results, reference: Flicker, changes: _Changes, top: float) -> list[PictureRow]:
-    """A row of what changes in the truth, and one of each method's error; a picture for each pair of frames."""
+    """The truth's changes, and each method's errors of them: a picture for each pair of frames."""
     frames = reference.sequence.frames
     names = [f"{frames[t]} → {frames[t + 1]}" for t in changes.pairs]
 
     def strip(title: str, images: Sequence[np.ndarray], captions: Sequence[str]) -> PictureRow:
-        panels = (
-            (picture(error_map(image, top), f"{title}, frames {name}: mean {image.mean():.3f}, scale 0 to {top:g}; {caption}", name, caption),)
-            for image, name, caption in zip(images, names, captions, strict=True)
-        )
+        panels = []
+        for image, name, caption in zip(images, names, captions, strict=True):
+            alt = f"{title}, frames {name}: mean {image.mean():.3f}, scale 0 to {top:g}; {caption}"
+            panels.append((picture(error_map(image, top), alt, name, caption),))
         return PictureRow(tuple(panels), title)
 
-    rows = [strip("Change of the truth", changes.truth, [f"mean {change.mean():.3f}" for change in changes.truth])]
+    means = [f"mean {change.mean():.3f}" for change in changes.truth]
+    rows = [strip("Change of the truth", changes.truth, means)]
     for method, errors in zip(results.methods, changes.errors, strict=True):
         flicker = _of(method, reference.sequence)
         values = [None if flicker is None else flicker.tpsnr[t] for t in changes.pairs]

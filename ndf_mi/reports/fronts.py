@@ -1,4 +1,4 @@
-"""Pareto fronts of a study of speed and accuracy: points that may be compared with one another, and which of them are worth taking."""
+"""Pareto fronts of a study of speed and accuracy, in groups of points that may be compared."""
 
 from __future__ import annotations
 
@@ -45,8 +45,10 @@ class Group:
     @property
     def chart(self) -> Chart:
         """Quality against seconds."""
-        points = [(row.label, row.frame_seconds or 0.0, value) for row, value in zip(self.rows, self.values, strict=True)]
-        return charts.front_chart(points, self.front, self.knee, "seconds per frame", self.quality, "", self.reference)
+        pairs = zip(self.rows, self.values, strict=True)
+        points = [(row.label, row.frame_seconds or 0.0, value) for row, value in pairs]
+        names = ("seconds per frame", self.quality, "")
+        return charts.front_chart(points, self.front, self.knee, *names, self.reference)
 
     @property
     def summary(self) -> str:
@@ -55,14 +57,16 @@ class Group:
         if len(self.front) == 1:
             return f"One of {tables.count(len(self.rows), 'point')} dominates all others: {first}."
         end = "It has no knee." if self.knee is None else f"Its knee is {self._point(self.knee)}."
-        return f"{len(self.front)} of {len(self.rows)} points are on the Pareto front, from {first} to {last}. {end}"
+        count = f"{len(self.front)} of {len(self.rows)} points are on the Pareto front"
+        return f"{count}, from {first} to {last}. {end}"
 
     def _point(self, index: int) -> str:
-        return f"{self.rows[index].label} ({tables.duration(self.rows[index].frame_seconds)}, {self.values[index]:.2f} dB)"
+        row = self.rows[index]
+        return f"{row.label} ({tables.duration(row.frame_seconds)}, {self.values[index]:.2f} dB)"
 
 
 def groups(trade: Trade) -> list[Group]:
-    """The groups of a study that have points: renderings by quadrature, trained fields, and path-traced renderings.
+    """The groups of a study that have points: by quadrature, of trained fields, and path-traced.
 
     Points that an earlier call timed take part if machine and versions were the same.
     """
@@ -73,36 +77,65 @@ def groups(trade: Trade) -> list[Group]:
     usual = trade.row("usual")
     model = None if usual is None else usual.model()
     found = [
-        _group("Against the truth", "The run itself, rendered with different settings. The dashed line is the same field rendered to "
-               "convergence: the gap up to the line is rendering error, the rest is the model’s error.",
-               True, own, None if model is None else ("converged", model)),
-        _group("Against convergence", f"The same pictures compared with the same field rendered with {CONVERGED_SAMPLES} samples along the "
-               "same rays, each ray to its end. This is rendering error alone.", False, own),
-        _group("Other fields", "Fields that the study trained, each with the same budget, rendered with the usual settings. Compare them "
-               "with one another only: the run itself may have been trained for longer.", True, fields),
-        _group("Path tracing", "The field rendered by `volpath`: a different, lit picture with fewer pixels, in one view. Noise counts as "
-               "error.", False, paths),
-        _group("Path tracing, against the truth", "The same pictures compared with the capture’s images, under the capture’s light.",
-               True, paths),
-    ]  # fmt: skip
+        _group(
+            "Against the truth",
+            "The run itself, rendered with different settings. The dashed line is the same field rendered to "
+            "convergence: the gap up to the line is rendering error, the rest is the model’s error.",
+            own,
+            by_truth=True,
+            reference=None if model is None else ("converged", model),
+        ),
+        _group(
+            "Against convergence",
+            f"The same pictures compared with the same field rendered with {CONVERGED_SAMPLES:,} samples "
+            "along the same rays, each ray to its end. This is rendering error alone.",
+            own,
+            by_truth=False,
+        ),
+        _group(
+            "Other fields",
+            "Fields that the study trained, each with the same budget, rendered with the usual settings. "
+            "Compare them with one another only: the run itself may have been trained for longer.",
+            fields,
+            by_truth=True,
+        ),
+        _group(
+            "Path tracing",
+            "The field rendered by `volpath`: a different, lit picture with fewer pixels, in one view. "
+            "Noise counts as error.",
+            paths,
+            by_truth=False,
+        ),
+        _group(
+            "Path tracing, against the truth",
+            "The same pictures compared with the capture’s images, under the capture’s light.",
+            paths,
+            by_truth=True,
+        ),
+    ]
     return [group for group in found if group is not None]
 
 
 def comparable(trade: Trade, row: Row) -> bool:
-    """Whether a row was timed by this call, or by an earlier one on the same machine with the same versions."""
+    """Whether a row was timed by this call, or by one on the same machine with the same versions."""
     sessions = trade.about["sessions"]
     return bool(sessions.get(row.session, {}).get("machine") == sessions[trade.about["session"]]["machine"])
 
 
-def _group(title: str, about: str, by_truth: bool, rows: Sequence[Row], reference: tuple[str, float] | None = None) -> Group | None:
+def _group(
+    title: str, about: str, rows: Sequence[Row], by_truth: bool, reference: tuple[str, float] | None = None
+) -> Group | None:
     """The group of those rows that have seconds and a finite quality; None where there are none."""
-    values = [row.truth() if by_truth else row.converged() for row in rows]
-    kept = [(row, row.frame_seconds, value) for row, value in zip(rows, values, strict=True)
-            if row.frame_seconds is not None and value is not None and math.isfinite(value)]
+    kept: list[tuple[Row, float, float]] = []
+    for row in rows:
+        seconds, quality = row.frame_seconds, row.truth() if by_truth else row.converged()
+        if seconds is not None and quality is not None and math.isfinite(quality):
+            kept.append((row, seconds, quality))
     if not kept:
         return None
-    seconds, quality = [s or 0.0 for _, s, _ in kept], [value for _, _, value in kept]
-    front = pareto_front(seconds, quality, WORTH)
-    at = knee([seconds[i] for i in front], [quality[i] for i in front])
+    found, costs, values = map(list, zip(*kept, strict=True))
+    front = pareto_front(costs, values, WORTH)
+    at = knee([costs[i] for i in front], [values[i] for i in front])
     name = f"box PSNR against {'the truth' if by_truth else 'convergence'} (dB)"
-    return Group(title, about, name, [row for row, _, _ in kept], quality, front, None if at is None else front[at], by_truth, reference)
+    bend = None if at is None else front[at]
+    return Group(title, about, name, found, values, front, bend, by_truth, reference)

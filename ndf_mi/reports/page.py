@@ -24,11 +24,17 @@ class Fact:
 
 
 def write_page(path: str | os.PathLike[str], template: str, **values: Any) -> None:
-    """Renders a template of this package with these values to an HTML file that refers to nothing outside of itself."""
+    """Renders a template of this package to an HTML file that needs no other file."""
     environment = Environment(
-        loader=PackageLoader("ndf_mi.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+        loader=PackageLoader("ndf_mi.reports"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
     style = resources.files("ndf_mi.reports").joinpath("style.css").read_text(encoding="utf-8")
-    files.write_text(path, environment.get_template(template).render(style=style, gradient=pictures.gradient(), **values))
+    text = environment.get_template(template).render(style=style, gradient=pictures.gradient(), **values)
+    files.write_text(path, text)
 
 
 def origin(about: Mapping[str, Any], *facts: Fact) -> list[Fact]:

@@ -51,8 +51,14 @@ def spread(results: Results, split: str, count: int, inner: bool = False) -> lis
         count: how many at most.
         inner: leave the first and the last view out where others remain.
     """
-    views = [image.view for image in results.methods[0].images if image.sampled and image.view.split == split]
-    views = sorted((view for view in views if all(map(lambda m: m.find(view), results.methods))), key=lambda v: (v.frame, v.camera))
+    views = [
+        image.view
+        for image in results.methods[0].images
+        if image.sampled
+        and image.view.split == split
+        and all(method.find(image.view) is not None for method in results.methods)
+    ]
+    views.sort(key=lambda view: (view.frame, view.camera))
     if not views:
         return []
     count = count + 2 if inner else min(count, len(views))

@@ -18,7 +18,7 @@ from ndf_mi.experiments.records import View
 COLOUR_MAP = "magma"
 #: Pixels kept around the body's box.
 MARGIN = 2
-#: The error maps of a row stand to the right of its pictures if these are at most this wide, width over height, and at most `FEW`.
+#: Error maps stand right of pictures of at most this aspect, width over height, if there are at most `FEW`.
 NARROW = 0.8
 FEW = 4
 
@@ -42,7 +42,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class PictureRow:
-    """Pictures next to one another: panels from left to right, the pictures of a panel from top to bottom; `title` may be empty."""
+    """Panels from left to right, and the pictures of each from top to bottom; the title may be empty."""
 
     panels: tuple[tuple[Picture, ...], ...]
     title: str = ""
@@ -55,7 +55,7 @@ class PictureRow:
 
 @dataclass(frozen=True)
 class Shot:
-    """What a row of a view shows of one method: an image (h, w, 3), sRGB in [0, 1], and its error (h, w), where it is shown."""
+    """What a row shows of one method: an image (h, w, 3), sRGB in [0, 1], and an error (h, w) or None."""
 
     label: str
     image: np.ndarray
@@ -73,11 +73,13 @@ def view_row(shots: Sequence[Shot], view: View, top: float = 1.0, reference: str
         reference: what the errors refer to.
     """
     where = f"camera {view.camera}, frame {view.frame}"
-    images = [picture(shot.image, f"{shot.label}: {where}; {shot.caption}", shot.label, shot.caption) for shot in shots]
-    errors = [() if shot.error is None else (_error_picture(shot, where, top, reference),) for shot in shots]
+    images, errors = [], []
+    for shot in shots:
+        images.append(picture(shot.image, f"{shot.label}: {where}; {shot.caption}", shot.label, shot.caption))
+        errors.append(() if shot.error is None else (_error_picture(shot, where, top, reference),))
     height, width = shots[0].image.shape[:2]
     if width <= NARROW * height and len(shots) <= FEW:
-        return PictureRow((*((image,) for image in images), *(error for error in errors if error)))
+        return PictureRow((*((image,) for image in images), *filter(None, errors)))
     return PictureRow(tuple((image, *error) for image, error in zip(images, errors, strict=True)))
 
 
@@ -86,11 +88,12 @@ def picture(image: np.ndarray, alt: str, label: str = "", caption: str = "") -> 
     pixels = image if image.dtype == np.uint8 else np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
     stream = io.BytesIO()
     Image.fromarray(pixels).save(stream, format="png", optimize=True)
-    return Picture("data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii"), alt, label, caption)
+    source = "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+    return Picture(source, alt, label, caption)
 
 
 def body_window(capture: Capture, view: View, shape: tuple[int, ...] | None = None) -> tuple[slice, slice]:
-    """Rows and columns of an image that hold the body's padded box, with a small margin; all of them where it is out of sight.
+    """Rows and columns that hold the body's padded box, with a small margin; all where it is out of sight.
 
     Args:
         capture: the cameras and poses.
@@ -122,7 +125,7 @@ def absolute_error(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def error_scale(errors: Sequence[np.ndarray]) -> float:
-    """A round upper end for a colour scale that error maps share: at least 99 % of the pixels that have an error are below it."""
+    """A round upper end for a scale that error maps share: 99 % of the pixels with an error are below it."""
     values = np.concatenate([error.ravel() for error in errors]) if errors else np.zeros(1)
     values = values[values > 1 / 255]
     top = float(np.quantile(values, 0.99)) if values.size else 0.0

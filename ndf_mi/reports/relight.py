@@ -18,13 +18,16 @@ METRICS = ("box_psnr", "box_ssim")
 
 
 def write_relight_report(
-    path: str | os.PathLike[str], results: Mapping[str, Results], captures: Mapping[str, Capture], pictures: Mapping[str, Path]
+    path: str | os.PathLike[str],
+    results: Mapping[str, Results],
+    captures: Mapping[str, Capture],
+    pictures: Mapping[str, Path],
 ) -> None:
     """Writes the report of a finished relighting as one HTML file.
 
     Args:
         path: the HTML file.
-        results: what was measured under each light, by the light's name; methods were trained under the first one.
+        results: what was measured under each light, by the light's name; training used the first one.
         captures: the truth under each light.
         pictures: under each light, a folder that holds a folder of pictures for each method, by its key.
     """
@@ -37,7 +40,10 @@ def write_relight_report(
         unseen=[results[light].about["capture"]["path"] for light in unseen],
         table=table(results),
         notes=notes(results),
-        lights={f"Under the {light} light": picture_rows(results[light], captures[light], pictures[light]) for light in results},
+        lights={
+            f"Under the {light} light": picture_rows(results[light], captures[light], pictures[light])
+            for light in results
+        },
         origin=page.origin(about, Fact("Run", (about["run"],))),
     )
 
@@ -52,15 +58,17 @@ def table(results: Mapping[str, Results]) -> Table:
 
 
 def notes(results: Mapping[str, Results]) -> list[str]:
-    """Sentences below the table: the noise of the pictures, the grid that the field is shown on, and training."""
+    """Sentences on the noise of the pictures, the grid that the field is shown on, and training."""
     noise = [
         f"{method.label} {method.metadata['noise_psnr']:.1f} dB under the {light} light"
-        for light, measured in results.items() for method in measured.methods if method.metadata.get("noise_psnr") is not None
+        for light, measured in results.items()
+        for method in measured.methods
+        if method.metadata.get("noise_psnr") is not None
     ]
     first = next(iter(results.values()))
     settings = first.about["settings"]
     spacing = settings.get("grid_spacing", settings.get("lattice", 0.0))
-    lines = [f"PSNR that the pictures’ noise alone would have in the box: {', '.join(noise)}."] if noise else []
+    lines = [f"PSNR of the pictures’ noise alone, in the box: {', '.join(noise)}."] if noise else []
     if spacing:
-        lines.append(f"The field is shown on the grid of {1000 * spacing:g} mm that it was trained on, not evaluated at every point.")
+        lines.append(f"The field is interpolated on a grid of {1000 * spacing:g} mm, as in training.")
     return lines + training.notes(first)

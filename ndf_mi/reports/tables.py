@@ -40,7 +40,8 @@ class Table:
     Attributes:
         columns: headings of the columns, without that of the line headings.
         rows: the lines, with as many cells as there are columns.
-        groups: (heading, number of columns) of successive columns, which cover all of them; empty for none. A heading may be empty.
+        groups: (heading, number of columns) of groups that cover all columns in order; empty for no groups. A
+            heading may be empty.
         caption: what the table shows.
         corner: heading of the line headings.
     """
@@ -52,7 +53,7 @@ class Table:
     corner: str = ""
 
     def parts(self) -> Iterator[Table]:
-        """A table for each group, with the group's heading as its caption: for terminals, which are narrow."""
+        """A table for each group, with the group's heading as its caption: narrow enough for a terminal."""
         ends = list(itertools.accumulate(span for _, span in self.groups))
         for (heading, span), end in zip(self.groups, ends, strict=True):
             part = slice(end - span, end)
@@ -61,11 +62,12 @@ class Table:
 
     def markdown(self) -> str:
         """The table in Markdown; columns of a group carry its heading."""
-        headings = [heading for heading, span in self.groups for _ in range(span)] or [""] * len(self.columns)
-        columns = [f"{group}: {column}" if group else column for group, column in zip(headings, self.columns, strict=True)]
+        groups = [f"{heading}: " if heading else "" for heading, span in self.groups for _ in range(span)]
+        columns = [a + b for a, b in itertools.zip_longest(groups, self.columns, fillvalue="")]
         lines = [[self.corner, *columns], ["---"] * (len(columns) + 1)]
         lines += [[row.label, *(cell.text for cell in row.cells)] for row in self.rows]
-        return "".join("| " + " | ".join(text.replace("|", r"\|") for text in line) + " |\n" for line in lines)
+        escaped = ([text.replace("|", r"\|") for text in line] for line in lines)
+        return "".join(f"| {' | '.join(line)} |\n" for line in escaped)
 
     def terminal(self) -> rich.table.Table:
         """The table for a terminal, without its groups (see `parts`)."""
@@ -74,7 +76,8 @@ class Table:
         for column in self.columns:
             table.add_column(column, justify="right")
         for row in self.rows:
-            table.add_row(row.label, *(cell.text for cell in row.cells), style="dim" if row.difference else "")
+            style = "dim" if row.difference else ""
+            table.add_row(row.label, *(cell.text for cell in row.cells), style=style)
         return table
 
 
@@ -86,19 +89,22 @@ def comparison(groups: Sequence[tuple[str, Results, str]], keys: Sequence[str], 
         keys: the metrics of each group, by their keys in `metrics.LABELS`.
         caption: what the table shows.
     """
-    methods = [results.methods for _, results, _ in groups]
-    means = [[method.mean(split, key) for method in results.methods] for _, results, split in groups for key in keys]
-    metric = [key for _ in groups for key in keys]
-    rows = [
-        Row(same[0].label, tuple(_cell(key, column, index) for key, column in zip(metric, means, strict=True)))
-        for index, same in enumerate(zip(*methods, strict=True))
+    labels = [method.label for method in groups[0][1].methods]
+    columns = [
+        (key, [method.mean(split, key) for method in results.methods])
+        for _, results, split in groups
+        for key in keys
     ]
-    first = rows[0].label if rows else ""
-    for index, row in enumerate(rows[1:], start=1):
-        cells = (Cell(signed(k, difference(column[0], column[index]))) for k, column in zip(metric, means, strict=True))
-        rows.append(Row(f"{first} − {row.label}", tuple(cells), difference=True))
-    headings = tuple((heading, len(keys)) for heading, _, _ in groups) if any(g[0] for g in groups) else ()
-    return Table(tuple(metrics.LABELS[key] for key in metric), tuple(rows), headings, caption, corner="Method")
+    rows = [
+        Row(label, tuple(_cell(key, means, index) for key, means in columns))
+        for index, label in enumerate(labels)
+    ]
+    for index, label in enumerate(labels[1:], start=1):
+        cells = (Cell(signed(key, difference(means[0], means[index]))) for key, means in columns)
+        rows.append(Row(f"{labels[0]} − {label}", tuple(cells), difference=True))
+    headings = tuple((heading, len(keys)) for heading, _, _ in groups if heading)
+    names = tuple(metrics.LABELS[key] for key, _ in columns)
+    return Table(names, tuple(rows), headings, caption, corner="Method")
 
 
 def difference(first: float | None, second: float | None) -> float | None:

@@ -1,4 +1,4 @@
-"""The report of a study of speed and accuracy: the Pareto fronts, pictures of their ends and knees, and a table of all points."""
+"""The report of a study of speed and accuracy: Pareto fronts, pictures of their points, and a table."""
 
 from __future__ import annotations
 
@@ -19,9 +19,17 @@ from ndf_mi.reports.tables import Cell, Table
 from ndf_mi.reports.tradeoff_pictures import front_rows
 
 _COLUMNS = (
-    "seconds per frame", "fastest – slowest repeat", "peak memory (MiB)", "PSNR against truth", "SSIM against truth",
-    "PSNR against convergence", "PSNR of convergence against truth", "on front", "training", "loading per frame",
-)  # fmt: skip
+    "seconds per frame",
+    "fastest – slowest repeat",
+    "peak memory (MiB)",
+    "PSNR against truth",
+    "SSIM against truth",
+    "PSNR against convergence",
+    "PSNR of convergence against truth",
+    "on front",
+    "training",
+    "loading per frame",
+)
 
 
 def write_trade_report(path: str | os.PathLike[str], trade: Trade, capture: Capture, folder: Path) -> None:
@@ -87,22 +95,26 @@ def _earlier(trade: Trade) -> str:
         return ""
     other = sum(not comparable(trade, row) for row in rows)
     text = "† was timed by an earlier call, not in turns with the other points."
-    return text + (f" {other} of these were timed on another machine or with other versions and take part in no front." if other else "")
+    if other:
+        text += f" {other} of these were timed on another machine or with other versions and are on no front."
+    return text
 
 
 def _facts(trade: Trade) -> list[Fact]:
     about = trade.about
     views = [view["split"] for view in about["views"]]
-    errors = ", ".join(f"{views.count(split)} of {SPLIT_LABELS[split]}" for split in dict.fromkeys(views))
+    images = ", ".join(f"{views.count(split)} of {SPLIT_LABELS[split]}" for split in dict.fromkeys(views))
+    size = " × ".join(map(str, about["size"]))
+    errors = f"{images}, {size} pixels; {metrics.LABELS['box_psnr']}, mean over the images"
     run = about["run"]
     facts = [
         Fact("Run", (f"{run['path']}, preset {run['preset']}, digest {run['digest'][:16]}…",)),
         page.capture_fact(about),
-        Fact("Images compared", (
-            f"{errors}, {about['size'][0]} × {about['size'][1]} pixels; {metrics.LABELS['box_psnr']}, mean over the images",)),
+        Fact("Images compared", (errors,)),
         Fact("Images timed", (f"{about['sessions'][about['session']]['timed']} of these",)),
-    ]  # fmt: skip
+    ]
     if about["paths"]:
-        light = "the capture’s" if about["lit"] else "a constant environment, because the capture’s light is unknown"
+        unknown = "a constant environment, because the capture’s light is unknown"
+        light = "the capture’s" if about["lit"] else unknown
         facts.append(Fact("Light of path tracing", (light,)))
     return facts

@@ -19,14 +19,15 @@ from ndf_mi.reports.pictures import PictureRow, Shot, absolute_error, body_windo
 
 
 def front_rows(group: Group, capture: Capture, pictures: Path) -> list[PictureRow]:
-    """A row for a view of each split: the fastest point of the front, its knee and its best, each with the error that the group measures.
+    """A row for a view of each split: the front's fastest point, knee and best point, each with its error.
 
     Args:
         group: the points.
         capture: the truth.
         pictures: a folder for each point, by its key, and for each converged picture.
     """
-    chosen = list(dict.fromkeys([group.front[0], *([] if group.knee is None else [group.knee]), group.front[-1]]))
+    marked = (group.front[0], group.knee, group.front[-1])
+    chosen = list(dict.fromkeys(index for index in marked if index is not None))
     return [_row(group, chosen, view, capture, pictures) for view in _views(group.rows[chosen[0]])]
 
 
@@ -59,5 +60,6 @@ def _row(group: Group, chosen: Sequence[int], view: View, capture: Capture, pict
         name = "Knee" if index == group.knee else "Fastest" if index == group.front[0] else "Best"
         found = next(f for f in row.figures if f.view == view)
         psnr = tables.figure("psnr", found.truth.get("box_psnr") if group.by_truth else found.converged)
-        shots.append(Shot(f"{name}: {row.label}", image[window], f"{tables.duration(row.frame_seconds)}, {psnr} dB", error[window]))
+        caption = f"{tables.duration(row.frame_seconds)}, {psnr} dB"
+        shots.append(Shot(f"{name}: {row.label}", image[window], caption, error[window]))
     return view_row(shots, view, top, "the truth" if group.by_truth else "convergence")

@@ -1,4 +1,4 @@
-"""What reports print of the training of methods: times, curves and sentences, from the keys that `methods/base.py` documents."""
+"""Training in a report: times, curves and sentences, from the keys that `methods/base.py` documents."""
 
 from __future__ import annotations
 
@@ -19,14 +19,15 @@ def notes(results: Results) -> list[str]:
 
 
 def equal_time_notes(results: Results) -> list[str]:
-    """A sentence for each method that converged within the time given to the others, and so was not trained for that time as well."""
+    """A sentence for each method that was not trained for the equal time because it converged within it."""
     equal = results.about["equal_seconds"]
     keys = {method.key for method in results.methods}
     return [
-        f"{method.label}: training converged within the first method’s training time ({tables.duration(equal)}), so this row is also its "
-        "result at equal time."
+        f"{method.label}: training converged within the first method’s training time "
+        f"({tables.duration(equal)}), so this row is also its result at equal time."
         for method in results.methods
-        if method.metadata.get("converged") and method.metadata["seconds"] <= equal
+        if method.metadata.get("converged")
+        and method.metadata["seconds"] <= equal
         and method.key.replace("converged", "equal-time") not in keys
     ]
 
@@ -41,14 +42,16 @@ def times(results: Results) -> Table:
         ))))
         for method in results.methods
     ]
-    return Table(("Training time", "Training steps", "Rendering time per image, median"), tuple(rows), corner="Method")
+    columns = ("Training time", "Training steps", "Rendering time per image, median")
+    return Table(columns, tuple(rows), corner="Method")
 
 
 def curves(results: Results) -> Chart | None:
-    """PSNR of the training loss over time, for every method that kept its training curve; None where none did."""
+    """PSNR of the training loss over time, of the methods that kept their curve; None where none did."""
     lines = []
     for method in results.methods:
-        points = [(s, -10 * math.log10(loss)) for _, s, loss in method.metadata.get("history", ()) if loss > 0 and s > 0]
+        history = method.metadata.get("history", ())
+        points = [(time, -10 * math.log10(loss)) for _, time, loss in history if loss > 0 and time > 0]
         if points:
             seconds, psnr = zip(*points, strict=True)
             lines.append((method.label, seconds, psnr))
@@ -58,11 +61,13 @@ def curves(results: Results) -> Chart | None:
 
 def metadata_fact(method: MethodResult) -> Fact:
     """Everything that a method reports of itself, except its curve and its note."""
-    shown = {key: value for key, value in method.metadata.items() if key not in ("history", "note") and value is not None}
+    hidden = ("history", "note")
+    shown = {key: value for key, value in method.metadata.items() if key not in hidden and value is not None}
     plain = {key: value for key, value in shown.items() if not isinstance(value, (Mapping, list, tuple))}
     nested = {key: value for key, value in shown.items() if isinstance(value, Mapping) and value}
-    lines = [settings_text(plain), *(f"{_name(key)}: {settings_text(value)}" for key, value in nested.items())]
-    return Fact(method.label, tuple(line for line in lines if line) or ("–",))
+    lines = [settings_text(plain)]
+    lines += [f"{_name(key)}: {settings_text(value)}" for key, value in nested.items()]
+    return Fact(method.label, tuple(filter(None, lines)) or ("–",))
 
 
 def _note(method: MethodResult) -> str:
@@ -72,7 +77,8 @@ def _note(method: MethodResult) -> str:
         end = ""
         if known.get("budget") is None:
             end = ", until its loss stopped falling" if known["converged"] else ", until the limit of steps"
-        parts.append(f"trained for {tables.duration(known['seconds'])}{end}, {known.get('steps', 0):,} steps.")
+        steps = tables.count(known.get("steps", 0), "step")
+        parts.append(f"trained for {tables.duration(known['seconds'])}{end}, {steps}.")
     parts += [known["note"]] if known.get("note") else []
     return f"{method.label}: {' '.join(parts)}" if parts else ""
 
