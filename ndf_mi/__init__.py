@@ -1,6 +1,6 @@
 """Neural deformable fields of moving people, as Mitsuba 3 participating media.
 
-Importing this package points Dr.Jit at an LLVM that works, imports Mitsuba and registers the plugins of
+Importing this package points Dr.Jit to an LLVM that works, imports Mitsuba, and registers the plugins of
 :mod:`ndf_mi.plugins` for the active variant and for every variant that is set later.
 """
 
@@ -16,9 +16,9 @@ __version__ = "0.1.0"
 
 
 def register() -> None:
-    """Registers Mitsuba's plugins ``ndf``, ``ndf_shell``, … for the active variant; again is harmless.
+    """Registers the plugins ``ndf``, ``ndf_shell``, … for the active variant. May be called repeatedly.
 
-    Done by itself on import, and whenever one of :data:`ndf_mi.variants.SUPPORTED` is set.
+    Importing the package calls it, and so does setting one of :data:`ndf_mi.variants.SUPPORTED`.
 
     Raises:
         ImportError: no variant is set.
@@ -35,8 +35,8 @@ def _on_variant(_old: str | None, new: str | None) -> None:
 
 try:
     import mitsuba as mi  # after ensure_llvm: Dr.Jit loads LLVM as soon as it is imported
-except (ImportError, NameError):  # NameError is what Dr.Jit makes of a missing system library
-    pass  # `ndf-mi doctor` must run without it; every module that needs it imports it itself, and fails there
+except (ImportError, NameError):  # Dr.Jit raises NameError where a system library is missing
+    pass  # `ndf-mi doctor` must run without Mitsuba; the modules that need it import it themselves, and fail there
 else:
     mi.detail.add_variant_callback(_on_variant)
     _on_variant(None, mi.variant())

@@ -1,4 +1,4 @@
-"""The sRGB transfer curve (IEC 61966-2-1) and its inverse, for numpy arrays and for Dr.Jit types alike.
+"""The sRGB transfer curve (IEC 61966-2-1) and its inverse, for NumPy arrays and Dr.Jit types.
 
 Radiance inside the renderer is linear; images on disk, losses and metrics are sRGB.
 """
@@ -15,11 +15,16 @@ _SRGB_TOE = 0.04045
 
 
 def linear_to_srgb(value: Any) -> Any:
-    """Encode linear intensities as sRGB.
+    """Encodes linear intensities as sRGB.
 
-    `value` is a numpy array, a number, or a Dr.Jit array or tensor of any shape; the same kind comes back. Negative values stay on
-    the linear toe and values above 1 continue the power law, so that nothing is clamped and gradients flow everywhere. The power's
-    argument is guarded, which keeps the gradient finite at 0 (it is 12.92 there).
+    Nothing is clamped: negative values stay on the linear toe, values above 1 continue the power law. The gradient is
+    finite everywhere (12.92 at 0).
+
+    Args:
+        value: a NumPy array, a number, or a Dr.Jit array or tensor of any shape.
+
+    Returns:
+        the same type as `value`.
     """
     if _is_numpy(value):
         return np.where(value <= _LINEAR_TOE, value * 12.92, 1.055 * np.maximum(value, _LINEAR_TOE) ** (1 / 2.4) - 0.055)
@@ -29,7 +34,7 @@ def linear_to_srgb(value: Any) -> Any:
 
 
 def srgb_to_linear(value: Any) -> Any:
-    """Decode sRGB to linear intensities; the inverse of `linear_to_srgb`, with the same kinds accepted."""
+    """Decodes sRGB to linear intensities: the inverse of :func:`linear_to_srgb`, for the same types."""
     if _is_numpy(value):
         return np.where(value <= _SRGB_TOE, value / 12.92, ((np.maximum(value, _SRGB_TOE) + 0.055) / 1.055) ** 2.4)
     return dr.select(

@@ -1,4 +1,4 @@
-"""The one exception for a user's mistake: commands print it and leave with exit code 2."""
+"""The exception for invalid input. Commands print it and exit with code 2."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ class InputError(ValueError):
     """Something that the user gave cannot be used.
 
     Args:
-        where: the file, key or option at fault, as the user would name it.
+        where: the file, key or option, as the user would name it.
         found: what is there.
-        expected: what would have been right.
-        repair: optional, what to do about it: a sentence or a command.
+        expected: what would be valid.
+        repair: optional: how to repair it, a sentence or a command.
     """
 
     def __init__(self, where: str | os.PathLike[str], found: str, expected: str, repair: str = "") -> None:

@@ -1,6 +1,6 @@
-"""The one place that names Mitsuba's backends: which variant is used here, and setting it.
+"""Mitsuba's variants: which one suits this machine, and setting it. No other module names a backend.
 
-Mitsuba and Dr.Jit are imported inside the functions, so that the names can be read where those two are broken.
+The functions import Mitsuba and Dr.Jit themselves, so that this module can be imported where those are broken.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ NEEDED = f"LLVM {llvm.MINIMUM} or newer"
 
 
 def cuda_usable() -> bool:
-    """True where Dr.Jit has found NVIDIA's driver and a GPU."""
+    """Whether Dr.Jit has found NVIDIA's driver and a GPU."""
     dr = _working("drjit")
     return bool(dr.has_backend(dr.JitBackend.CUDA))
 
 
 def llvm_usable() -> bool:
-    """True where Dr.Jit has loaded an LLVM; importing ``ndf_mi`` has made sure that it is one that works."""
+    """Whether Dr.Jit has loaded an LLVM. Importing ``ndf_mi`` has made sure that it is one that works."""
     dr = _working("drjit")
     return bool(dr.has_backend(dr.JitBackend.LLVM))
 
 
 def fused_width() -> int:
-    """Width of networks up to which cooperative vectors are quicker than matrix products over all samples, where nothing is
-    differentiated; 0 if they never are. Measured on the CPU; on GPUs cooperative vectors are of half precision."""
+    """Width of networks up to which cooperative vectors are faster than matrix products over all samples, where
+    nothing is differentiated; 0 if they never are. Measured on the CPU; GPUs only have them in half precision."""
     mi = _working("mitsuba")
     return 64 if mi.variant() == LLVM else 0
 
 
 def cooperative_precisions() -> tuple[str, ...]:
-    """The precisions that cooperative vectors have here, of `single` and `half`: GPUs have no single."""
+    """The precisions of cooperative vectors here: `single` and `half` on the CPU, `half` on GPUs."""
     mi = _working("mitsuba")
     return ("single", "half") if mi.variant() == LLVM else ("half",)
 
 
 def preferred() -> str:
-    """The variant that suits this machine: CUDA where a GPU is usable, else LLVM; ``NDF_MI_VARIANT`` overrides.
+    """The variant that suits this machine: CUDA where a GPU is usable, else LLVM. ``NDF_MI_VARIANT`` overrides.
 
     Raises:
         InputError: the variable names an unsupported variant, no backend is usable, or Dr.Jit cannot be imported.
@@ -78,7 +78,7 @@ def use(name: str | None = None) -> str:
     if active is not None and name in (None, active):
         return active
     if active is not None:
-        raise InputError("variant", f"{active} active already", f"{name}", "Set one variant in a process.")
+        raise InputError("variant", f"{active}, already active", f"{name}", "A process can have one variant.")
     chosen = preferred() if name is None else _checked(name, "variant")
     mi.set_variant(chosen)
     dr = _working("drjit")
@@ -100,9 +100,9 @@ def _checked(name: str, where: str) -> str:
 def _working(package: str) -> Any:
     try:
         return importlib.import_module(package)
-    except (ImportError, NameError) as error:  # NameError is what Dr.Jit makes of a missing system library
+    except (ImportError, NameError) as error:  # Dr.Jit raises NameError where a system library is missing
         cause = error.__context__ or error
-        raise InputError(package, f"{cause}", "a package that can be imported", "`ndf-mi doctor` says more") from error
+        raise InputError(package, f"{cause}", "a package that can be imported", "Run `ndf-mi doctor`.") from error
 
 
 def _nothing_usable() -> InputError:
