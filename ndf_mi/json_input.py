@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, TypeVar
+
+import msgspec
 
 from ndf_mi.errors import InputError
+
+T = TypeVar("T")
 
 
 def load_json(path: Path) -> Any:
@@ -58,3 +63,23 @@ def shown(value: Any) -> str:
     except RecursionError:
         text = f"a deeply nested {type(value).__name__}"
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def validated(value: Any, kind: type[T], where: str, repair: str = "") -> T:
+    """JSON values as an instance of `kind`, a msgspec Struct or another type that msgspec knows.
+
+    Raises:
+        InputError: a value is missing, is of another type or unknown; its place is named behind `where`.
+    """
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        text, _, place = str(error).partition(" - at `$")
+        place = place.rstrip("`")
+        wrong = re.fullmatch("Expected `(.*)`, got `(.*)`", text)
+        missing = re.fullmatch("Object missing required field `(.*)`", text)
+        found, expected = (wrong[2], wrong[1]) if wrong else (text[:1].lower() + text[1:], "a value of this format")
+        if missing:
+            place, found, expected = f"{place}.{missing[1]}", "nothing", "a value"
+        at = place.lstrip(".") if ": " not in where else place
+        raise InputError(f"{where}: {at}" if at != place else where + at, found, expected, repair) from None

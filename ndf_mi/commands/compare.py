@@ -1,23 +1,41 @@
-"""``ndf-mi compare``: a run beside textured meshes, on held-out views and poses."""
+"""``ndf-mi compare``: a run compared with other methods, on held-out views and poses."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import tyro
+
+from ndf_mi.commands.command_line import command_line
+from ndf_mi.deprecated import DeprecatedOption, RenamedValue, ReplacedOption
+
+REPORT = "report.html"
 
 
 @dataclass
 class Compare:
-    """Compare a trained field with textured meshes that are trained on the same images; write report.html.
+    """Compare a trained field with other methods on one capture; write report.html.
 
-    One mesh is the posed body with a texture; the other one has its vertices optimised, too. Each is trained until its
-    loss stops falling and, where that takes longer than the field's training did, once more for the same time. What an
-    earlier call has trained or measured with the same settings is kept.
+    Methods without a folder are trained on the same images as the run: to convergence and, unless that was
+    faster than the run's training, for the same time as the run. What an earlier call trained or measured
+    with the same settings is kept.
     """
+
+    deprecated: ClassVar[tuple[DeprecatedOption, ...]] = (
+        RenamedValue("--protocol", "ours", "default"),
+        ReplacedOption(
+            "--offsets",
+            {
+                "all": (),
+                "equal-time": ("--methods", "ndf,mesh,offset-mesh@equal-time"),
+                "none": ("--methods", "ndf,mesh"),
+            },
+            "--methods",
+        ),
+    )
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of the run."""
@@ -25,61 +43,63 @@ class Compare:
     capture: Path
     """Folder of the capture that the run was trained on."""
 
+    methods: str = "ndf,mesh,offset-mesh"
+    """What is compared, separated by commas; differences refer to the first. `ndf` is the run; `mesh` a
+    textured mesh; `offset-mesh` one whose vertices are trained too; `ndf:FOLDER` another run; `images:FOLDER`
+    pictures that another program rendered, as FOLDER/CAMERA/FRAME.png. `@equal-time` or `@converged` after a
+    name sets how long it is trained."""
+
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the report, figures and pictures; RUN by default."""
 
     mesh_seconds: float | None = None
-    """Seconds of training for the meshes of equal time; the run's own training time by default."""
+    """Training time in seconds for methods of equal time; the run's own training time by default."""
 
-    protocol: Literal["ours", "zju", "dynacap"] = "ours"
-    """Which images are measured, what the capture must hold and which figures lead; docs/protocols.md describes each."""
+    protocol: Literal["default", "zju", "dynacap"] = "default"
+    """Which images are measured, what the capture must hold and which metrics lead; see docs/protocols.md."""
 
     max_images: int | None = None
-    """Images measured of the novel views, and of the novel poses; 48 by default, under `zju` and `dynacap` all."""
+    """Images measured of the novel views, and of the novel poses; 48 by default, all with `zju` and
+    `dynacap`.
+    """
 
     sequence: int = 12
-    """Successive frames of each split, in one camera, that temporal consistency is measured on; 0 leaves it out."""
+    """Successive frames of each split, in one camera, that temporal consistency is measured on; 0 leaves it
+    out.
+    """
 
     texture: int = 512
-    """Texels a side of the meshes' textures."""
+    """Width and height of the meshes' textures in texels."""
 
     samples: int = 128
     """Candidate samples a ray of the field."""
 
     seed: int = 0
-    """Of the choice of images and of the meshes' training."""
-
-    offsets: Literal["all", "equal-time", "none"] = "all"
-    """The mesh with optimised vertices: trained like the other one, only for the equal time, or left out."""
+    """Seed of the choice of images and of trainings."""
 
     def run(self) -> None:
-        """Compares, prints the table and says where the report is."""
-        from ndf_mi.commands.compare_console import ConsoleWatcher, print_tables
-        from ndf_mi.experiments.compare import REPORT, Comparison, Settings
-        from ndf_mi.reports.compare import command_line
+        """Compares, writes the report, prints the tables and the report's path."""
+        from ndf_mi.commands.compare_console import print_tables
+        from ndf_mi.commands.progress import ConsoleProgress
+        from ndf_mi.experiments.compare import Comparison, Settings
+        from ndf_mi.reports.compare import write_report
 
         folder = self.out or self.run_folder
         settings = Settings(
-            self.mesh_seconds,
             self.max_images,
-            self.texture,
+            self.sequence,
             self.samples,
             self.seed,
             self.protocol,
-            self.sequence,
-            self.offsets,
+            tuple(self.methods.split(",")),
+            self.mesh_seconds,
+            self.texture,
         )
-        comparison = Comparison(self.run_folder, self.capture, folder, settings, command_line(self._arguments()))
-        with ConsoleWatcher(sys.stderr) as watcher:
-            results = comparison.run(watcher)
+        comparison = Comparison(
+            self.run_folder, self.capture, folder, settings, command_line("compare", self)
+        )
+        with ConsoleProgress(sys.stderr) as progress:
+            results = comparison.run(progress)
+        write_report(folder / REPORT, results, comparison.capture, comparison.pictures)
         print_tables(results)
         print(f"\n{folder / REPORT}")
-
-    def _arguments(self) -> list[str]:
-        """The options that repeat this call; those at their defaults are left out."""
-        arguments = ["compare", str(self.run_folder), "--capture", str(self.capture)]
-        for name, field in type(self).__dataclass_fields__.items():
-            value = getattr(self, name)
-            if name not in ("run_folder", "capture") and value != field.default:
-                arguments += [f"--{name.replace('_', '-')}", str(value)]
-        return arguments

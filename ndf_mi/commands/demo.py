@@ -48,7 +48,7 @@ class Demo:
             _print_step(f"2/3  training a field for {self.seconds:.0f} s: {run}")
             Optimise(capture=capture, out=run, seconds=self.seconds, seed=self.seed).run()
         _print_step("3/3  training textured meshes, comparing all on held-out views and poses")
-        Compare(run_folder=run, capture=capture, out=self.out, seed=self.seed, offsets="equal-time").run()
+        Compare(run_folder=run, capture=capture, out=self.out, seed=self.seed, methods="ndf,mesh,offset-mesh@equal-time").run()
         _print_step(f"done in {time.perf_counter() - started:.0f} s: open {self.out / 'report.html'}")
         return 0
 

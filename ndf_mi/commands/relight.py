@@ -1,20 +1,28 @@
-"""``ndf-mi relight``: a run shown in another light, beside a diffuse textured mesh."""
+"""``ndf-mi relight``: a run shown in another light, compared with a diffuse textured mesh."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
+
+from ndf_mi.commands.command_line import command_line
+from ndf_mi.deprecated import DeprecatedOption, RenamedOption
+
+REPORT = "report.html"
 
 
 @dataclass
 class Relight:
-    """Show a field that was trained through scattering in the light of another capture, beside a diffuse textured mesh that is trained on
-    the same images; write report.html. What an earlier call has trained or measured with the same settings is kept.
+    """Show a field that was trained through scattering in the light of another capture, next to a diffuse
+    textured mesh trained on the same images; write report.html. What an earlier call trained or measured with
+    the same settings is kept.
     """
+
+    deprecated: ClassVar[tuple[DeprecatedOption, ...]] = (RenamedOption("--lattice", "--grid-spacing"),)
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of a run made by `ndf-mi optimise --integrator prbvolpath`."""
@@ -35,38 +43,30 @@ class Relight:
     """Images measured of the novel views, and of the novel poses; 48 by default."""
 
     texture: int = 256
-    """Texels a side of the mesh's reflectance."""
+    """Width and height of the mesh's reflectance texture in texels."""
 
-    lattice: float = 0.0
-    """Spacing in metres of a lattice to show the field on, as it was trained: several times as fast as the field itself, which 0 shows, and
-    blurred by a cell."""
+    grid_spacing: float = 0.0
+    """Shows the field on a grid of this spacing in metres, as it was trained: several times as fast as the
+    field itself, which 0 shows, and blurred by a cell."""
 
     seed: int = 0
-    """Of the choice of images and of the mesh's training."""
+    """Seed of the choice of images and of the mesh's training."""
 
     def run(self) -> None:
-        """Relights, prints the table and says where the report is."""
-        from ndf_mi.commands.compare_console import ConsoleWatcher
+        """Relights, writes the report, prints the tables and the report's path."""
+        from ndf_mi.commands.progress import ConsoleProgress
         from ndf_mi.commands.relight_console import print_relighting
-        from ndf_mi.experiments.relight import REPORT, Relighting, Settings
-        from ndf_mi.reports.compare import command_line
+        from ndf_mi.experiments.relight import Relighting, Settings
         from ndf_mi.reports.relight import write_relight_report
 
         folder = self.out or self.run_folder / "relight"
-        settings = Settings(self.spp, self.max_images, self.texture, self.lattice, self.seed)
-        relighting = Relighting(self.run_folder, self.capture, self.under, folder, settings, command_line(self._arguments()))
-        with ConsoleWatcher(sys.stderr) as watcher:
-            relighting.run(watcher)
+        settings = Settings(self.spp, self.max_images, self.texture, self.grid_spacing, self.seed)
+        relighting = Relighting(
+            self.run_folder, self.capture, self.under, folder, settings, command_line("relight", self)
+        )
+        with ConsoleProgress(sys.stderr) as progress:
+            relighting.run(progress)
         pictures = {light: relighting.pictures(light) for light in relighting.results}
         write_relight_report(folder / REPORT, relighting.results, relighting.captures, pictures)
         print_relighting(relighting.results)
         print(f"\n{folder / REPORT}")
-
-    def _arguments(self) -> list[str]:
-        """The options that repeat this call; those at their defaults are left out."""
-        arguments = ["relight", str(self.run_folder), "--capture", str(self.capture), "--under", str(self.under)]
-        for name, field in type(self).__dataclass_fields__.items():
-            value = getattr(self, name)
-            if name not in ("run_folder", "capture", "under") and value != field.default:
-                arguments += [f"--{name.replace('_', '-')}", str(value)]
-        return arguments

@@ -1,96 +1,83 @@
-"""A run beside the textured meshes on one capture: trains and measures what is missing, writes the report."""
+"""A run compared with other methods on one capture, on images that none of them was trained on."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ndf_mi import machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import protocols
-from ndf_mi.experiments.evaluate import choose_views, evaluate, measured, to_render
-from ndf_mi.experiments.flicker import choose_sequences
-from ndf_mi.experiments.records import MethodResult, Results
-from ndf_mi.methods import registry
-from ndf_mi.methods.base import Budget, Method, Renderer
-from ndf_mi.reports.compare import write_report
+from ndf_mi.experiments.core import Progress, Silent, run_units
+from ndf_mi.experiments.evaluate import ImageSet, measure
+from ndf_mi.experiments.fit import fit_unit
+from ndf_mi.experiments.records import Results
+from ndf_mi.experiments.settings import Evaluation, at_least, positive
+from ndf_mi.experiments.store import Store
+from ndf_mi.learn.loop import expect_capture
+from ndf_mi.methods.base import Budget, Method, expect_views
+from ndf_mi.methods.registry import CONVERGED, EQUAL_TIME, MethodSpec, entry, parse_specs
 from ndf_mi.run import Run
 
 RESULTS = "compare.json"
-REPORT = "report.html"
 WORK = "compare"
 PICTURES = "pictures"
-OFFSETS = ("all", "equal-time", "none")
+RUN_METHOD = "ndf"
+"""The method that, named without a folder, is the run itself."""
+METHODS = ("ndf", "mesh", "offset-mesh")
+_ENDS = {CONVERGED: "to convergence", EQUAL_TIME: "equal time"}
+_SAME_TIME = 0.01
+"""Relative difference below which two training times of a run that went on for a moment count as the same."""
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How to compare.
+class Settings(Evaluation):
+    """What is compared, and how.
 
     Attributes:
-        mesh_seconds: time for the meshes of equal time; None takes the run's own training time.
-        max_images: images measured of each held-out split; None takes the protocol's number, 48 for `ours`.
+        methods: the methods, as `ndf_mi.methods.registry.parse_spec` reads them.
+        mesh_seconds: training time of the methods of equal time; None takes the run's own.
         texture: texels a side of the meshes' textures.
-        samples: candidate samples a ray of the field.
-        seed: of the choice of images and of the meshes' training.
-        protocol: name of the protocol that images are chosen by.
-        sequence: successive frames a split that temporal consistency is measured on; 0 leaves it out.
-        offsets: the mesh with vertex offsets: `all` trains it as the other one, `equal-time` for the equal time only,
-            `none` leaves it out.
     """
 
+    methods: tuple[str, ...] = METHODS
     mesh_seconds: float | None = None
-    max_images: int | None = None
     texture: int = 512
-    samples: int = 128
-    seed: int = 0
-    protocol: str = protocols.OURS.name
-    sequence: int = 12
-    offsets: str = "all"
 
     def __post_init__(self) -> None:
-        if self.offsets not in OFFSETS:
-            raise InputError("option offsets", repr(self.offsets), f"one of {', '.join(OFFSETS)}")
-        for key in ("max_images", "texture", "samples"):
-            if getattr(self, key) is not None and getattr(self, key) < 1:
-                raise InputError(f"option {key.replace('_', '-')}", repr(getattr(self, key)), "at least 1")
-        if self.sequence < 0 or self.sequence == 1:
-            raise InputError("option sequence", repr(self.sequence), "at least 2, or 0 to leave temporal consistency out")
-        protocols.named(self.protocol)
-        if self.mesh_seconds is not None and not 0 < self.mesh_seconds < float("inf"):
-            raise InputError("option mesh-seconds", repr(self.mesh_seconds), "a number of seconds above 0")
-        if self.seed < 0:
-            raise InputError("option seed", repr(self.seed), "a whole number from 0 on")
+        super().__post_init__()
+        at_least(self, texture=1)
+        positive(self, "mesh_seconds")
+        parse_specs(self.methods)
 
 
-class Watcher(Protocol):
-    """Told how the work goes on."""
+@dataclass(frozen=True)
+class Compared:
+    """A method that is ready to render, by its name in the study and its label in tables."""
 
-    def training(self, label: str, seconds: float, budget: float | None, step: int, loss: float) -> None:
-        """A step of a mesh's training is done; `loss` is its sRGB mean squared error."""
-        ...
-
-    def measured(self, label: str, done: int, of: int) -> None:
-        """Images of a method are measured."""
-        ...
+    name: str
+    label: str
+    method: Method
 
 
 class Comparison:
-    """One comparison in one folder; `run` does what is still missing of it.
+    """One comparison in one folder.
 
     Args:
         run: folder of a run.
         capture: folder of the capture that it was trained on.
-        folder: where `compare.json` and `report.html` go; pictures and meshes go to its subfolder `compare`.
-        settings: how to compare.
-        command: the command that the report says made it.
+        folder: where `compare.json` goes; pictures and trained methods go to its subfolder `compare`.
+        settings: what is compared, and how.
+        command: the command that the report names.
 
     Raises:
-        InputError: run or capture can't be read, they don't belong together, or the folder's `compare.json` can't be read. What it holds
-            of another run or with other settings is no error: what is rendered otherwise is measured anew, and the rest is of use.
+        InputError: run, capture or a method's folder cannot be read, they do not belong together, a method
+            lacks images that would be measured, or the folder's `compare.json` cannot be read. Nothing has
+            been written then.
     """
 
     def __init__(
@@ -101,129 +88,144 @@ class Comparison:
         settings: Settings,
         command: str,
     ) -> None:
-        self.folder = Path(folder)
-        self._work = self.folder / WORK
+        self._work = Path(folder) / WORK
+        self.pictures = self._work / PICTURES
         self.settings = settings
+        self._specs = parse_specs(settings.methods)
         self._run = Run.load(run)
-        self._capture = Capture.read(capture)
-        self._field = registry.entry("ndf").create({"samples": settings.samples})
-        self._field.load(run, self._capture)
-        self._budget = self._mesh_seconds()
+        self.capture = Capture.read(capture)
+        expect_capture(self._run, self.capture)
+        self._options = {"texture": settings.texture, "samples": settings.samples}
+        self._seconds = self._equal_seconds()
+        self._images = ImageSet.choose(self.capture, settings)
+        self._loaded = {spec.name: self._load(spec) for spec in self._specs if self._folder(spec) is not None}
+        self._store = Store(Path(folder) / RESULTS, "comparison")
+        self.results = Results(self._about(command))
         self._tuned: dict[str, Any] = {}
-        self._protocol = protocols.named(settings.protocol)
-        self._views = choose_views(self._capture, settings.max_images, settings.seed, self._protocol)
-        self._sequences = choose_sequences(self._capture, settings.sequence)
-        known = Results.read(self.folder / RESULTS) if (self.folder / RESULTS).exists() else Results()
-        self.results = Results(self._about(command), known.methods)
 
-    def run(self, watcher: Watcher) -> Results:
-        """Trains the meshes, measures every method; `compare.json` after each image, `report.html` at the end."""
-        meshes = self._meshes("mesh", watcher, converge=True)
-        if self.settings.offsets != "none":
-            meshes |= self._meshes("offset-mesh", watcher, converge=self.settings.offsets == "all")
-        self._measure("ndf", self._field.label, self._field, watcher)
-        for key, (mesh, label) in meshes.items():
-            self._measure(key, label, mesh, watcher)
-        self.results.methods = [method for method in self.results.methods if method.key in {"ndf", *meshes}]
-        self.results.write(self.folder / RESULTS)
-        write_report(self.folder / REPORT, self.results, self._capture, self._work / PICTURES)
+    def run(self, progress: Progress | None = None) -> Results:
+        """Trains and measures what is missing or stale; `compare.json` is written after each piece of work."""
+        progress = progress or Silent()
+        self._store.about, self._store.summary = self.results.about, self.results.summary
+        chosen = [one for spec in self._specs for one in self._ready(spec, progress)]
+        self.results.methods = []
+        for one in chosen:
+            self.results.methods.append(
+                measure(one.name, one.label, one.method, self._images, self.pictures, self._store, progress)
+            )
+        self._store.write()
         return self.results
 
-    def _meshes(self, key: str, watcher: Watcher, converge: bool) -> dict[str, tuple[Method, str]]:
-        """The meshes of a kind and their labels, by their keys."""
-        meshes: dict[str, tuple[Method, str]] = {}
-        if converge:
-            converged = self._mesh(key, f"{key}-converged", None, watcher)
-            meshes = {f"{key}-converged": (converged, f"{converged.label}, to convergence")}
-            if self._stands_for_equal_time(converged):
-                return meshes
-        equal = self._mesh(key, f"{key}-equal-time", self._budget, watcher)
-        return {f"{key}-equal-time": (equal, f"{equal.label}, equal time"), **meshes}
+    def _ready(self, spec: MethodSpec, progress: Progress) -> Iterator[Compared]:
+        """The methods that a spec stands for. Without a budget these are the one trained for equal time and
+        the one trained to convergence, or only the latter if it converged within that time."""
+        if spec.name in self._loaded:
+            method = self._loaded[spec.name]
+            yield Compared(spec.name, method.label, method)
+            return
+        if spec.budget is not None:
+            yield self._fitted(spec.key, spec.budget, progress)
+            return
+        converged = self._fitted(spec.key, CONVERGED, progress)
+        if not self._stands_for_equal_time(converged.method.metadata()):
+            yield self._fitted(spec.key, EQUAL_TIME, progress)
+        yield converged
 
-    def _stands_for_equal_time(self, converged: Method) -> bool:
-        """Whether the converged mesh took no longer than the run, so that equal time has nothing to add to it.
-
-        A budget that the user gave is always trained for.
+    def _stands_for_equal_time(self, metadata: dict[str, Any]) -> bool:
+        """Whether a training to convergence took no longer than the run's. A time that the user gave is
+        always trained for.
         """
-        facts = converged.metadata()
-        return self.settings.mesh_seconds is None and facts["converged"] and facts["seconds"] <= self._budget
-
-    def _mesh(self, kind: str, key: str, budget: float | None, watcher: Watcher) -> Method:
-        """The mesh of this kind and budget, from the folder if one of the same settings is there."""
-        folder = self._work / key
-        wanted: dict[str, Any] = {"size": self.settings.texture, "seed": self.settings.seed}
-        options = {"texture": self.settings.texture, **self._tuned}
-        mesh = registry.entry(kind).create(options)
-        if (folder / "mesh.json").exists():
-            mesh.load(folder, self._capture)
-            facts = mesh.metadata()
-            if all(facts[name] == value for name, value in wanted.items()) and self._same_time(facts["budget"], budget):
-                self._tuned |= facts["tuned"]
-                return mesh
-            mesh = registry.entry(kind).create(options)
-        label = f"{mesh.label.lower()} {'to convergence' if budget is None else 'of equal time'}"
-        mesh.fit(
-            self._capture,
-            Budget(budget, self.settings.seed),
-            lambda seconds, step, loss: watcher.training(label, seconds, budget, step, loss),
+        return bool(
+            self.settings.mesh_seconds is None
+            and metadata.get("converged")
+            and metadata["seconds"] <= self._seconds
         )
-        mesh.save(folder)
-        self._tuned |= mesh.metadata()["tuned"]
-        return mesh
 
-    def _same_time(self, trained: float | None, wanted: float | None) -> bool:
-        """Whether a mesh's budget in seconds, None for convergence, is the one wanted: within a hundredth where that is the run's own
-        time, which never ends on the second, and exactly where the user gave it."""
-        if trained is None or wanted is None or self.settings.mesh_seconds is not None:
-            return trained == wanted
-        return abs(trained - wanted) <= 0.01 * wanted
+    def _fitted(self, key: str, end: str, progress: Progress) -> Compared:
+        """A method trained to an end, or loaded if it has been."""
+        name = f"{key}-{end}"
+        method = entry(key).create({**self._options, **self._tuned})
+        label = f"{method.label}, {_ENDS[end]}"
+        budget = Budget(None if end == CONVERGED else self._budget(name), self.settings.seed)
+        unit, ready = fit_unit(
+            name,
+            f"train {label}",
+            method,
+            entry(key).accepted(self._options),
+            self.capture,
+            budget,
+            self._work / name,
+            progress,
+        )
+        run_units([unit], self._store, progress)
+        # The same search would find the same values for other trainings.
+        self._tuned |= ready().metadata().get("tuned", {})
+        return Compared(name, label, ready())
 
-    def _measure(self, key: str, label: str, method: Renderer, watcher: Watcher) -> None:
-        known = self.results.method(key)
-        result = MethodResult(key, label, method.cache_key(), method.metadata())
-        if known is not None and known.cache_key == result.cache_key:
-            result.images = known.images
-        # What an earlier call measured of the other methods stays, until their turn comes.
-        self.results.methods = [method for method in self.results.methods if method.key != key] + [result]
+    def _budget(self, name: str) -> float:
+        """Seconds of equal time; those of an earlier training if the run has only gone on for a moment since."""
+        known = self._store.inputs(f"{name}/train").get("budget")
+        if (
+            self.settings.mesh_seconds is None
+            and known
+            and abs(known - self._seconds) <= _SAME_TIME * self._seconds
+        ):
+            return float(known)
+        return self._seconds
 
-        images = len(to_render(self._views, self._sequences))
+    def _folder(self, spec: MethodSpec) -> Path | None:
+        """Where a method is loaded from, or None if it is trained."""
+        return (
+            self._run.path
+            if (spec.key, spec.folder, spec.budget) == (RUN_METHOD, None, None)
+            else spec.folder
+        )
 
-        def done() -> None:
-            self.results.write(self.folder / RESULTS)
-            watcher.measured(label, len(result.images), images)
+    def _load(self, spec: MethodSpec) -> Method:
+        folder = self._folder(spec)
+        assert folder is not None
+        method = entry(spec.key).create(self._options)
+        method.load(folder, self.capture)
+        expect_views(method, [(view.camera, view.frame) for view in self._images.rendered()])
+        return method
 
-        evaluate(method, result, self._capture, self._views, self._work / PICTURES / key, done, self._sequences)
-
-    def _mesh_seconds(self) -> float:
-        seconds = self.settings.mesh_seconds or self._field.metadata()["seconds"]
-        if not seconds:
+    def _equal_seconds(self) -> float:
+        """The time of equal-time trainings, in seconds; 0 if there are none."""
+        trained = [spec for spec in self._specs if self._folder(spec) is None and spec.budget != CONVERGED]
+        seconds = self.settings.mesh_seconds or (self._run.config.get("trained") or {}).get("seconds") or 0.0
+        if trained and not seconds:
             raise InputError(
                 f"{self._run.path / 'config.json'}: trained",
                 "no training time",
                 "the seconds that `ndf-mi optimise` writes when it ends",
-                "Give the mesh's training time yourself: --mesh-seconds 600",
+                "Give the training time of the other methods: --mesh-seconds 600",
             )
         return float(seconds)
 
     def _about(self, command: str) -> dict[str, Any]:
+        protocol = protocols.named(self.settings.protocol)
         return {
             "run": str(self._run.path),
             "capture": {
-                "name": self._capture.name,
-                "path": str(self._capture.path),
-                "digest": self._capture.digest,
-                **{split: _extent(self._capture, split) for split in self._capture.splits},
+                "name": self.capture.name,
+                "path": str(self.capture.path),
+                "digest": self.capture.digest,
+                **extents(self.capture),
             },
-            "measured": measured(self._views, self._sequences),
-            "protocol": self._protocol.facts(
-                self._run.config.get("training"), self._capture, self.settings.max_images
+            "measured": self._images.counts(),
+            "protocol": protocol.metadata(
+                self._run.config.get("training"), self.capture, self.settings.max_images
             ),
-            "equal_seconds": self._budget,
+            "equal_seconds": self._seconds,
             "settings": asdict(self.settings),
             "command": command,
             "machine": machine.describe(),
         }
 
 
-def _extent(capture: Capture, split: str) -> dict[str, int]:
-    return {"cameras": len(capture.splits[split].cameras), "frames": len(capture.splits[split].frames)}
+def extents(capture: Capture) -> dict[str, dict[str, int]]:
+    """How many cameras and frames each split of a capture has."""
+    return {
+        name: {"cameras": len(split.cameras), "frames": len(split.frames)}
+        for name, split in capture.splits.items()
+    }

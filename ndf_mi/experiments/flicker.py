@@ -1,16 +1,18 @@
 """Temporal consistency: does the picture change from frame to frame as the truth does?
 
-For successive frames t, t+1 of one camera, images I, truth G (sRGB in [0, 1]) and the pixels B of both frames' boxes,
+For successive frames t, t+1 of one camera, images I, truth G (sRGB in [0, 1]) and the pixels B of each
+frame's box,
 
     tMSE_t = mean over B_t ∪ B_{t+1} and channels of ((I_{t+1} − I_t) − (G_{t+1} − G_t))²
-    tPSNR_t = −10·log10 tMSE_t                                                              in dB, higher is better
+    tPSNR_t = −10·log10 tMSE_t                                          in dB, higher is better
 
-- A perfect method has no error. An error that stays where it is counts nothing; one that comes and goes does, and so does a
-  picture that stands still while the performer moves (a still picture has the `frozen` value of `Flicker`).
-- In decibels over the box, so that it reads against box PSNR: errors that know nothing of each other from frame to frame double
-  tMSE, so tPSNR is 3 dB below PSNR; errors that stay let it rise above.
-- It is taken of the 8-bit pictures, which is what is looked at: rounding bounds it at about 56 dB where errors are not zero.
-- The further apart the frames are, the more it is an error of motion and the less one of flicker: `FrameSequence.spacing`.
+- An error that stays the same from frame to frame costs nothing. An error that flickers does, and so does a
+  picture that stands still while the performer moves; `Flicker.frozen` is the value of such a picture.
+- It is comparable with box PSNR: errors that are independent from frame to frame double tMSE, so tPSNR is 3
+  dB below PSNR; errors that stay make it higher.
+- It is measured on the 8-bit pictures, which is what people look at. Rounding limits it to about 56 dB.
+- The further apart the frames are (`FrameSequence.spacing`), the more it measures errors of motion instead of
+  flicker.
 """
 
 from __future__ import annotations
@@ -27,11 +29,11 @@ from ndf_mi.experiments.records import Flicker, FrameSequence, View
 
 
 def choose_sequences(capture: Capture, count: int) -> list[FrameSequence]:
-    """One sequence of up to `count` successive frames in the split's first camera: of the split `sequence` where there is one, which is
-    made for it, otherwise of each split.
+    """Up to `count` successive frames of the split `sequence`, in its first camera; without such a split, of
+    each split.
 
-    Of all runs of that many successive frames it is the one whose frames are closest together, the first of these. A split of
-    fewer than two frames has none, and none has where `count` is 0.
+    Of all series of so many successive frames, the one is taken whose frames are closest together, and the
+    first of these. Splits with fewer than two frames have no sequence; a `count` of 0 selects none.
     """
     chosen = []
     own = capture.splits.get("sequence", Split())
@@ -48,8 +50,8 @@ def measure_flicker(capture: Capture, sequence: FrameSequence, pictures: Path) -
 
     Args:
         capture: the truth.
-        sequence: whose pictures are all in `pictures`.
-        pictures: the method's folder of 8-bit pictures.
+        sequence: the frames.
+        pictures: the method's folder of 8-bit pictures, which must hold all of them.
     """
     camera = capture.cameras[sequence.camera]
     flicker = Flicker(sequence, [], [])
@@ -65,7 +67,7 @@ def measure_flicker(capture: Capture, sequence: FrameSequence, pictures: Path) -
 
 
 def read_picture(pictures: Path, view: View) -> np.ndarray:
-    """A method's picture of a view, (h, w, 3) float32 sRGB in [0, 1], of 8 bits."""
+    """A method's 8-bit picture of a view, (h, w, 3) float32 sRGB in [0, 1]."""
     with Image.open(pictures / view.file) as picture:
         return np.asarray(picture.convert("RGB"), dtype=np.float32) / 255
 
@@ -73,7 +75,7 @@ def read_picture(pictures: Path, view: View) -> np.ndarray:
 def _change(
     before: tuple[np.ndarray, np.ndarray, np.ndarray], after: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> float | None:
-    """Temporal PSNR of (truth, picture, box mask) of two frames; None where both boxes are out of sight."""
+    """Temporal PSNR of (truth, picture, box mask) of two frames; None if both boxes are out of sight."""
     mask = before[2] | after[2]
     return metrics.temporal_psnr((before[0], after[0]), (before[1], after[1]), mask) if mask.any() else None
 

@@ -1,22 +1,13 @@
-"""`compare.json`: what was measured, image by image; the report is made of it, a later call goes on from it."""
+"""What experiments measure: the values that studies store on disk and that reports show."""
 
 from __future__ import annotations
 
-import json
-import os
 import statistics
-from pathlib import Path
 from typing import Any
 
 from msgspec import Struct
-from msgspec.structs import asdict
 
-from ndf_mi import files
-from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
-
-FORMAT = "ndf-comparison"
-VERSION = 1
 
 
 class View(Struct, frozen=True):
@@ -50,7 +41,13 @@ class FrameSequence(Struct, frozen=True):
         return (self.frames[-1] - self.frames[0]) / (len(self.frames) - 1)
 
 
-class Measured(Struct):
+class Trained(Struct, tag="trained", tag_field="kind"):
+    """A training that has ended; `metadata` is what the method reports of itself and of the training."""
+
+    metadata: dict[str, Any] = {}
+
+
+class Measured(Struct, tag="image", tag_field="kind"):
     """One image of one method.
 
     Attributes:
@@ -58,21 +55,25 @@ class Measured(Struct):
         seconds: the time that rendering took.
         figures: metrics by the keys of `metrics.IMAGE_METRICS`; None where a metric is undefined.
         sampled: whether the image counts in the split's means. Images that only a sequence needs do not.
+        noise: PSNR in dB that the sampling noise of the method's pictures would have by itself; None where
+            there is none.
     """
 
     view: View
     seconds: float
     figures: dict[str, float | None]
     sampled: bool = True
+    noise: float | None = None
 
 
-class Flicker(Struct):
+class Flicker(Struct, tag="flicker", tag_field="kind"):
     """The temporal consistency of one method in one sequence of n frames.
 
     Attributes:
         sequence: the frames.
         tpsnr: (n − 1) temporal PSNR in dB of each pair of frames; None where the body is out of sight.
-        frozen: (n − 1) the same for a picture that does not change, which measures how much the truth changes.
+        frozen: (n − 1) the same for a picture that does not change, which measures how much the truth
+            changes.
     """
 
     sequence: FrameSequence
@@ -100,13 +101,18 @@ class MethodResult(Struct):
     flicker: list[Flicker] = []
 
     def mean(self, split: str, metric: str) -> float | None:
-        """The mean over the sampled images of a split; for temporal PSNR, over the pairs of frames of its sequences.
+        """The mean over the sampled images of a split; for temporal PSNR, over the pairs of frames of its
+        sequences.
 
         None where the metric is undefined for all of them.
         """
         if metric == metrics.TEMPORAL:
-            return metrics.average([v for known in self.flicker if known.sequence.split == split for v in known.tpsnr])
-        return metrics.average([i.figures[metric] for i in self.images if i.sampled and i.view.split == split])
+            return metrics.average(
+                [v for known in self.flicker if known.sequence.split == split for v in known.tpsnr]
+            )
+        return metrics.average(
+            [i.figures[metric] for i in self.images if i.sampled and i.view.split == split]
+        )
 
     def seconds_an_image(self) -> float | None:
         """The median over all images, so that kernel compilation in the first few does not count."""
@@ -116,9 +122,25 @@ class MethodResult(Struct):
         """The measurement of a view, or None."""
         return next((image for image in self.images if image.view == view), None)
 
+    def summary(self, splits: list[str]) -> dict[str, Any]:
+        """JSON values for readers of the study's file: the method, its means by split and metric, and its
+        speed.
+        """
+        means = {split: {key: self.mean(split, key) for key in metrics.LABELS} for split in splits}
+        return {
+            "key": self.key,
+            "label": self.label,
+            "cache_key": self.cache_key,
+            "metadata": self.metadata,
+            "seconds_an_image": self.seconds_an_image(),
+            "means": means,
+        }
+
 
 class Results(Struct):
-    """A whole comparison. `about` holds what the report says of it: run, capture, command, machine, settings, protocol."""
+    """A whole comparison. `about` holds what the report says of it: run, capture, command, machine, settings,
+    protocol.
+    """
 
     about: dict[str, Any] = {}
     methods: list[MethodResult] = []
@@ -131,83 +153,6 @@ class Results(Struct):
         """The splits that have images, in the order in which they were measured."""
         return list(dict.fromkeys(image.view.split for method in self.methods for image in method.images))
 
-    def write(self, path: str | os.PathLike[str]) -> None:
-        """Writes `compare.json`, means included, whole or not at all."""
-        files.write_json(
-            path,
-            {
-                "format": FORMAT,
-                "version": VERSION,
-                **self.about,
-                "methods": [_method_to_json(method, self.splits()) for method in self.methods],
-            },
-        )
-
-    @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Results:
-        """Reads `compare.json`.
-
-        Raises:
-            InputError: the file is missing, is not such a file, or is of another version.
-        """
-        expected = f"a {FORMAT} file of version {VERSION}"
-        try:
-            document = json.loads(Path(path).read_text(encoding="utf-8"))
-            found = (document.pop("format"), document.pop("version"))
-            methods = [_method_from_json(method) for method in document.pop("methods")] if found[1] == VERSION else []
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise InputError(path, f"a file that can't be read ({error!r})", expected, "Remove it.") from error
-        if found != (FORMAT, VERSION):
-            raise InputError(path, f"format {found[0]!r} of version {found[1]!r}", expected, "Remove it.")
-        return cls(document, methods)
-
-
-def _method_to_json(method: MethodResult, splits: list[str]) -> dict[str, Any]:
-    means = {split: {key: metrics.to_json(method.mean(split, key)) for key in metrics.LABELS} for split in splits}
-    return {
-        "key": method.key,
-        "label": method.label,
-        "fingerprint": method.cache_key,
-        "facts": method.metadata,
-        "seconds_an_image": method.seconds_an_image(),
-        "means": means,
-        "flicker": [
-            {
-                **asdict(known.sequence),
-                "tpsnr": [metrics.to_json(value) for value in known.tpsnr],
-                "frozen": [metrics.to_json(value) for value in known.frozen],
-            }
-            for known in method.flicker
-        ],
-        "images": [
-            {
-                **asdict(image.view),
-                "seconds": image.seconds,
-                "sampled": image.sampled,
-                **{key: metrics.to_json(value) for key, value in image.figures.items()},
-            }
-            for image in method.images
-        ],
-    }
-
-
-def _method_from_json(document: dict[str, Any]) -> MethodResult:
-    # `sampled` and `flicker` may be absent: files written before sequences were measured have neither.
-    images = [
-        Measured(
-            View(entry["split"], entry["camera"], entry["frame"]),
-            entry["seconds"],
-            {key: metrics.from_json(entry[key]) for key in metrics.IMAGE_METRICS},
-            entry.get("sampled", True),
-        )
-        for entry in document["images"]
-    ]
-    flicker = [
-        Flicker(
-            FrameSequence(entry["split"], entry["camera"], tuple(entry["frames"])),
-            [metrics.from_json(value) for value in entry["tpsnr"]],
-            [metrics.from_json(value) for value in entry["frozen"]],
-        )
-        for entry in document.get("flicker", [])
-    ]
-    return MethodResult(document["key"], document["label"], document["fingerprint"], document["facts"], images, flicker)
+    def summary(self) -> dict[str, Any]:
+        """JSON values for readers of the study's file: a summary of each method."""
+        return {"methods": [method.summary(self.splits()) for method in self.methods]}

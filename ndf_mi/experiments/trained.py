@@ -1,71 +1,100 @@
-"""Fields that a study trains for itself: made, gone on with, or found finished in a folder."""
+"""Fields that a study trains: each is a run in a folder of the study."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
+from ndf_mi.experiments.core import Unit
+from ndf_mi.experiments.records import Trained
 from ndf_mi.field import Preset
 from ndf_mi.learn.loop import expect_capture, resume, start, train
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.run import Run
 
 
-def trained(folder: Path, capture: Capture, preset: Preset, options: TrainingOptions, begin: Callable[[], None]) -> Run:
-    """The run in a folder, trained to its end: nothing is done where it is, a stopped one goes on, and a missing one is begun.
+def training_unit(
+    name: str, label: str, folder: Path, capture: Capture, preset: Preset, options: TrainingOptions
+) -> Unit[Trained]:
+    """A unit that trains the run in a folder to its end; a training that was stopped goes on."""
 
-    Args:
-        begin: called before training begins or goes on.
+    def work() -> Trained:
+        run = trained(folder, capture, preset, options)
+        return Trained({key: run.config.get("trained", {}).get(key) for key in ("steps", "seconds")})
+
+    inputs = {"capture": capture.digest, "preset": preset.to_dict(), "training": options.to_dict()}
+    return Unit(
+        f"{name}/train",
+        inputs,
+        work,
+        Trained,
+        (folder / "config.json", folder / "field.safetensors"),
+        label,
+        "train",
+    )
+
+
+def is_trained(folder: Path) -> bool:
+    """Whether a folder holds a run that was trained to its end."""
+    return (folder / "config.json").exists() and bool(Run.load(folder).config.get("trained", {}).get("done"))
+
+
+def trained(folder: Path, capture: Capture, preset: Preset, options: TrainingOptions) -> Run:
+    """The run in a folder, trained to its end: a finished one is loaded, a stopped one goes on, a missing one
+    is started.
 
     Raises:
-        KeyboardInterrupt: stopped by a signal; the next call goes on.
+        KeyboardInterrupt: stopped by a signal; the next call continues.
     """
     trainer = None
-    if (folder / "config.json").exists():
-        run = Run.load(folder)
-        if run.config.get("trained", {}).get("done"):
-            return run
-        trainer = resume(folder, capture) if (folder / "state.safetensors").exists() else None
+    if is_trained(folder):
+        return Run.load(folder)
+    if (folder / "config.json").exists() and (folder / "state.safetensors").exists():
+        trainer = resume(folder, capture)
     if trainer is None:
-        # A run without a training state was stopped before its first checkpoint: nothing of it is worth keeping.
+        # A run without a training state was stopped before its first checkpoint: nothing of it is worth
+        # keeping.
         for file in (folder / "config.json", folder / "metrics.jsonl", *folder.glob("events.*")):
             file.unlink(missing_ok=True)
         trainer = start(folder, capture, preset, options)
-    begin()
     train(trainer)
     return trainer.run
 
 
 def expect_options(run: Run, capture: Capture, preset: Preset, options: TrainingOptions) -> None:
-    """Raises InputError unless the run is of these options and of the capture."""
+    """Raises InputError unless the run has these options and was trained on the capture."""
     expect_capture(run, capture)
-    # All fields: dictionaries of presets leave out what older ones lack.
-    had_preset, had_options = _parsed(run.config, f"{run.path / 'config.json'}: ")
-    for key, have, want in (("preset", dataclasses.asdict(had_preset), dataclasses.asdict(preset)),
-                            ("training", dataclasses.asdict(had_options), dataclasses.asdict(options))):
+    # Compared field by field: dictionaries of presets omit fields that older versions did not have.
+    had_preset, had_options = read_options(run.config, f"{run.path / 'config.json'}: ")
+    for key, have, want in (
+        ("preset", dataclasses.asdict(had_preset), dataclasses.asdict(preset)),
+        ("training", dataclasses.asdict(had_options), dataclasses.asdict(options)),
+    ):
         other = sorted(option for option in want if have[option] != want[option])
         if other:
-            raise InputError(f"{run.path / 'config.json'}: {key}", f"{other[0]} = {have[other[0]]!r}",
-                             f"{want[other[0]]!r}, as asked for now",
-                             "Give the options that it was started with, or take another folder.")
+            raise InputError(
+                f"{run.path / 'config.json'}: {key}",
+                f"{other[0]} = {have[other[0]]!r}",
+                f"{want[other[0]]!r}, the value asked for",
+                "Give the options that the run was started with, or use another folder.",
+            )
 
 
-def read_options_of(document: dict[str, Any], where: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Preset and training options of a document with both, an option that did not exist when it was written at its value of then.
+def read_options(document: dict[str, Any], where: str) -> tuple[Preset, TrainingOptions]:
+    """Preset and training options of a run's configuration; options that are newer than the run have their
+    former value.
 
     Raises:
-        InputError: either is missing or wrong; `where` and the key are in front.
+        InputError: either is missing or invalid; the message begins with `where` and the key.
     """
-    preset, options = _parsed(document, where)
-    return preset.to_dict(), options.to_dict()
-
-
-def _parsed(document: dict[str, Any], where: str) -> tuple[Preset, TrainingOptions]:
     for key in ("preset", "training"):
         if not isinstance(document.get(key), dict):
-            raise InputError(f"{where}{key}", repr(document.get(key)), "the options that it was started with")
-    return Preset.from_dict(document["preset"], f"{where}preset"), TrainingOptions.from_dict(document["training"], f"{where}training")
+            raise InputError(
+                f"{where}{key}", repr(document.get(key)), "the options that the run was started with"
+            )
+    return Preset.from_dict(document["preset"], f"{where}preset"), TrainingOptions.from_dict(
+        document["training"], f"{where}training"
+    )

@@ -18,7 +18,7 @@ all of them are optional:
                 capture may be created with them and need not search again
     history     the training curve: [step, seconds, mean squared error in sRGB], in order
     note        how it was trained or where its pictures come from, one sentence for the report
-    noise_psnr  PSNR in dB that the sampling noise of the pictures rendered so far would have by itself
+    noise_psnr  PSNR in dB that the sampling noise of the last picture rendered would have by itself
 """
 
 from __future__ import annotations

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -87,6 +86,6 @@ def _encode(linear: np.ndarray) -> np.ndarray:
     return np.clip(linear_to_srgb(np.maximum(linear, 0)), 0, 1)
 
 
-def noise_psnr(noise: Sequence[float]) -> dict[str, float]:
-    """Metadata of pictures from the mean squared errors that are their noise: the PSNR of that in dB, or nothing without pictures."""
-    return {"noise_psnr": -10 * math.log10(max(float(np.mean(noise)), 1e-12))} if noise else {}
+def noise_psnr(noise: float | None) -> dict[str, float]:
+    """Metadata of a picture whose noise has this mean squared error: its PSNR in dB, or nothing before any picture."""
+    return {} if noise is None else {"noise_psnr": -10 * math.log10(max(noise, 1e-12))}

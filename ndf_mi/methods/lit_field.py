@@ -102,7 +102,7 @@ class LitField:
         self._depth: int = metadata["max_depth"]
         self._grid = ScatteringScene(run, frames, light.emitters, spacing) if spacing else None
         self._frame: int | None = None
-        self._noise: list[float] = []
+        self._noise: float | None = None
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the run's background.
@@ -118,11 +118,11 @@ class LitField:
         vertices = self._run.poses.vertices[self._run.poses.index(frame)]
         low, high = padded_box(vertices, max(BOX_PADDING, self._run.model.band))
         image, noise = self._renderer.render(camera, box_pixels(camera, low, high), frame)
-        self._noise.append(noise)
+        self._noise = noise
         return image
 
     def metadata(self) -> dict[str, Any]:
-        """That of the field, samples a pixel, and `noise_psnr` of the pictures rendered so far."""
+        """That of the field, samples a pixel, and `noise_psnr` of the last picture rendered."""
         return {**self._metadata, **noise_psnr(self._noise)}
 
     def cache_key(self) -> str:

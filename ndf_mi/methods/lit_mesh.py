@@ -91,7 +91,7 @@ class LitMesh:
         self._spp = spp
         self._metadata = {**metadata, "spp": spp}
         self._surface = LitSurface(capture, len(texture), light.emitters)
-        self._noise: list[float] = []
+        self._noise: float | None = None
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the capture's background."""
@@ -99,11 +99,11 @@ class LitMesh:
         self._surface.set_texture(mi.TensorXf(srgb_to_linear(self._texture)))
         low, high = padded_box(self._poses.vertices[self._poses.index(frame)], BOX_PADDING)
         image, noise = self._surface.lit_picture(camera, box_pixels(camera, low, high), self._spp, frame)
-        self._noise.append(noise)
+        self._noise = noise
         return image
 
     def metadata(self) -> dict[str, Any]:
-        """That of the mesh, samples a pixel, and `noise_psnr` of the pictures rendered so far."""
+        """That of the mesh, samples a pixel, and `noise_psnr` of the last picture rendered."""
         return {**self._metadata, **noise_psnr(self._noise)}
 
     def cache_key(self) -> str:

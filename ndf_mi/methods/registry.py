@@ -50,12 +50,18 @@ class Entry:
 
     def create(self, options: Mapping[str, Any] | None = None) -> Method:
         """A method that is neither trained nor loaded yet, with those of the options that its constructor accepts."""
-        make = self.factory
-        if isinstance(make, str):
-            module, _, name = make.partition(":")
-            make = getattr(importlib.import_module(module), name)
-        accepted = inspect.signature(make).parameters
-        return make(**{name: value for name, value in (options or {}).items() if name in accepted})
+        return self._make()(**self.accepted(options or {}))
+
+    def accepted(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Those of the options that the method's constructor has parameters for."""
+        parameters = inspect.signature(self._make()).parameters
+        return {name: value for name, value in options.items() if name in parameters}
+
+    def _make(self) -> Callable[..., Method]:
+        if not isinstance(self.factory, str):
+            return self.factory
+        module, _, name = self.factory.partition(":")
+        return getattr(importlib.import_module(module), name)  # type: ignore[no-any-return]
 
 
 _ENTRIES = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,11 +64,6 @@ def headline(results: Results, splits: Sequence[str]) -> Table:
     """The figures that the protocol puts first, on these splits."""
     groups = [(SPLIT_LABELS[split].capitalize(), results, split) for split in splits]
     return tables.comparison(groups, results.about["protocol"]["headline"])
-
-
-def command_line(arguments: Sequence[str]) -> str:
-    """A command with its arguments quoted for a shell."""
-    return shlex.join(["ndf-mi", *arguments])
 
 
 def _held_out(results: Results) -> list[str]:

@@ -1,47 +1,87 @@
-"""The whole comparison: a run, the meshes, the results and what a second call does."""
+"""Comparisons: which methods are trained for how long, what is kept, and what the report shows; mostly of toy
+methods.
+"""
 
 from __future__ import annotations
 
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
 from ndf_mi.commands import main
-from ndf_mi.commands.compare import Compare
-from ndf_mi.commands.compare_console import print_tables
 from ndf_mi.errors import InputError
-from ndf_mi.experiments import compare as comparison
 from ndf_mi.experiments import metrics
-from ndf_mi.experiments.compare import Comparison, Settings
+from ndf_mi.experiments.compare import RESULTS, Comparison, Settings
+from ndf_mi.experiments.core import Silent
 from ndf_mi.field import PRESETS
+from ndf_mi.methods import registry
 from ndf_mi.run import Run
-from ndf_mi.surface import offset_fit
-from ndf_mi.surface import texture_fit as mesh_fit
 
-SETTINGS = Settings(max_images=1, texture=32, samples=16, sequence=0)
+RUN_SECONDS = 3600.0
 
 
-class Watcher:
-    """Counts what it is told."""
+class Brighter:
+    """The truth plus a constant. Counts what it does, for all of its instances."""
 
-    def __init__(self) -> None:
-        self.trained: set[str] = set()
-        self.measured_images: list[tuple[str, int, int]] = []
+    key, label = "brighter", "Brighter"
+    seconds_to_converge = 5.0
+    fits: list[tuple[float | None, int, int, float | None]]
+    renders: list[tuple[str, int]]
 
-    def training(self, label, seconds, budget, step, loss):
-        self.trained.add(label)
+    def __init__(self, texture=512, rate=None):
+        self._texture, self._rate = texture, rate
 
-    def measured(self, label, done, of):
-        self.measured_images.append((label, done, of))
+    def fit(self, capture, budget, progress=None):
+        self.fits.append((budget.seconds, budget.seed, self._texture, self._rate))
+        progress(1.0, 10, 0.01)
+        self._take(capture, {"budget": budget.seconds, "seed": budget.seed})
+
+    def save(self, folder):
+        files.write_json(Path(folder) / "brighter.json", self._known)
+
+    def load(self, folder, capture):
+        self._take(capture, json.loads((Path(folder) / "brighter.json").read_text()))
+
+    def _take(self, capture, known):
+        self._capture, self._known = capture, known
+
+    def render(self, camera, frame):
+        self.renders.append((camera.name, frame))
+        return self._capture.image(camera.name, frame) + np.float32(0.1)
+
+    def metadata(self):
+        seconds = self._known["budget"] or self.seconds_to_converge
+        return {
+            **self._known,
+            "seconds": seconds,
+            "steps": 10,
+            "converged": self._known["budget"] is None,
+            "tuned": {"rate": 0.5},
+        }
+
+    def cache_key(self):
+        return f"brighter {self._known} {self._capture.digest}"
+
+
+@pytest.fixture
+def brighter(monkeypatch):
+    monkeypatch.setattr(Brighter, "fits", [], raising=False)
+    monkeypatch.setattr(Brighter, "renders", [], raising=False)
+    registry.register(Brighter)
+    yield Brighter
+    registry.unregister(Brighter.key)
 
 
 @pytest.fixture(scope="module")
 def run(capture, tmp_path_factory):
-    """An untrained field that says it was trained for an hour on the capture."""
+    """An untrained field that claims an hour of training on the capture."""
     path = tmp_path_factory.mktemp("run")
     made = Run.create(
         path,
@@ -51,123 +91,256 @@ def run(capture, tmp_path_factory):
         seed=0,
         background=capture.background.tolist(),
         capture={"name": capture.name, "digest": capture.digest},
-        trained={"steps": 10, "seconds": 3600.0, "done": True},
+        trained={"steps": 10, "seconds": RUN_SECONDS, "done": True},
     )
     made.save()
-    rows = [{"step": s, "seconds": float(s), "loss": 0.1 / s, "psnr": 10.0 + s, "samples": 5} for s in (5, 10)]
-    (path / "metrics.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows) + '{"step": 1', encoding="utf-8")
     return path
 
 
-@pytest.fixture(autouse=True)
-def short_sweep(monkeypatch):
-    """Fewer rates and an early end: schedules have tests of their own."""
-    monkeypatch.setattr(mesh_fit, "RATES", (0.03, 0.1))
-    monkeypatch.setattr(mesh_fit, "SWEEP_STEPS", 4)
-    monkeypatch.setattr(mesh_fit, "WINDOW_STEPS", 4)
-    monkeypatch.setattr(mesh_fit, "TOLERANCE", 0.3)
-    monkeypatch.setattr(offset_fit, "OFFSET_RATES", (2e-3, 8e-3))
-    monkeypatch.setattr(offset_fit, "CONTOUR_SAMPLES", 256)
+def settings(*methods: str, **more) -> Settings:
+    return Settings(**{"max_images": 1, "texture": 32, "samples": 16, "sequence": 0, **more}, methods=methods)
 
 
-def compared(run, capture, folder, settings=SETTINGS):
-    watcher = Watcher()
-    return Comparison(run, capture.path, folder, settings, "ndf-mi compare").run(watcher), watcher
+def compared(run, capture, folder, *methods: str, progress=None, **more):
+    return Comparison(run, capture.path, folder, settings(*methods, **more), "ndf-mi compare …").run(progress)
 
 
-def test_compares_once_and_goes_on_where_it_was(run, capture, tmp_path, monkeypatch, capsys):
-    # Convergence is faster than an hour, so one mesh of each kind stands for both times.
-    first, watcher = compared(run, capture, tmp_path)
-    assert watcher.trained == {"mesh to convergence", "mesh with offsets to convergence"}
-    assert [method.key for method in first.methods] == ["ndf", "mesh-converged", "offset-mesh-converged"]
-    assert first.methods[1].metadata["rate"] == first.methods[2].metadata["rate"] and not first.methods[2].metadata["sweep"]
-    assert len(watcher.measured_images) == 3 * 3 and watcher.measured_images[-1][1:] == (3, 3)
-    assert first.methods[1].mean("novel_view", "box_psnr") > first.methods[0].mean("novel_view", "box_psnr")
-    assert (tmp_path / "report.html").stat().st_size > 10_000
-    document = json.loads((tmp_path / "compare.json").read_text())
-    assert set(document["methods"][0]["means"]["novel_pose"]) == set(metrics.LABELS)
-
-    again, watcher = compared(run, capture, tmp_path)
-    assert not watcher.trained and not watcher.measured_images
-    assert [method.images for method in again.methods] == [method.images for method in first.methods]
-
-    # A time that is asked for is trained for, with the rates that the sweeps found.
-    timed, watcher = compared(run, capture, tmp_path, replace(SETTINGS, mesh_seconds=0.5))
-    assert watcher.trained == {"mesh of equal time", "mesh with offsets of equal time"}
-    kinds = [f"{kind}-{end}" for kind in ("mesh", "offset-mesh") for end in ("equal-time", "converged")]
-    assert [method.key for method in timed.methods] == ["ndf", *kinds]
-    for equal, converged in (timed.methods[1:3], timed.methods[3:5]):
-        assert equal.metadata["budget"] == 0.5 and equal.metadata["rate"] == converged.metadata["rate"]
-        assert equal.metadata.get("offset_rate") == converged.metadata.get("offset_rate")
-    assert {label for label, _, _ in watcher.measured_images} == {"Mesh, equal time", "Mesh with offsets, equal time"}
-
-    print_tables(timed)
-    printed = capsys.readouterr().out
-    assert "Novel views" in printed and "Mesh, equal time" in printed and "Box PSNR (dB)" in printed
+def keys(results) -> list[str]:
+    return [method.key for method in results.methods]
 
 
-def test_offsets_for_the_equal_time_or_not_at_all(run, capture, tmp_path):
-    plain, watcher = compared(run, capture, tmp_path, replace(SETTINGS, offsets="none"))
-    assert [method.key for method in plain.methods] == ["ndf", "mesh-converged"]
-    settings = replace(SETTINGS, mesh_seconds=0.5, offsets="equal-time")
-    timed, watcher = compared(run, capture, tmp_path, settings)
-    assert watcher.trained == {"mesh of equal time", "mesh with offsets of equal time"}
-    keys = ["ndf", "mesh-equal-time", "mesh-converged", "offset-mesh-equal-time"]
-    assert [method.key for method in timed.methods] == keys
+def test_a_new_method_appears_in_tables_pictures_and_report_with_no_other_file_touched(
+    run, capture, tmp_path, capsys
+):
+    class Grey:
+        key, label = "grey", "Plain grey"
+
+        def fit(self, capture, budget, progress=None):
+            self._size = 0.5  # noqa: E704
+
+        def render(self, camera, frame):
+            return np.full((camera.h, camera.w, 3), self._size, np.float32)  # noqa: E704
+
+        def metadata(self):
+            return {"seconds": 1.0}  # noqa: E704
+
+        def cache_key(self):
+            return "grey"  # noqa: E704
+
+        def save(self, folder):
+            files.write_text(Path(folder) / "grey.txt", "")  # noqa: E704
+
+        def load(self, folder, capture):
+            self._size = 0.5  # noqa: E704
+
+    registry.register(Grey)
+    try:
+        out = tmp_path / "out"
+        arguments = [
+            "compare",
+            str(run),
+            "--capture",
+            str(capture.path),
+            "-o",
+            str(out),
+            "--max-images",
+            "1",
+            "--samples",
+            "16",
+        ]
+        assert main([*arguments, "--sequence", "2", "--methods", "ndf,grey@converged"]) == 0
+    finally:
+        registry.unregister("grey")
+    assert "Plain grey" in capsys.readouterr().out
+    page = (out / "report.html").read_text()
+    assert "Plain grey" in page and page.count("data:image/png") >= 3 * 3
+    methods = {method["key"]: method for method in json.loads((out / RESULTS).read_text())["methods"]}
+    assert list(methods) == ["ndf", "grey-converged"]
+    assert set(methods["grey-converged"]["means"]["novel_pose"]) == set(metrics.LABELS)
+    with Image.open(next((out / "compare" / "pictures" / "grey-converged").rglob("*.png"))) as picture:
+        assert set(np.asarray(picture).ravel()) == {128}
 
 
-def test_an_interrupted_comparison_keeps_what_it_has(run, capture, tmp_path, monkeypatch):
-    class Interrupting(Watcher):
-        def measured(self, label, done, of):
-            if done == 2:
+def test_without_a_budget_a_method_is_trained_to_convergence_and_for_equal_time_if_that_differs(
+    run, capture, tmp_path, brighter, monkeypatch
+):
+    # Converged within the run's hour: one training stands for both.
+    first = compared(run, capture, tmp_path, "ndf", "brighter")
+    assert keys(first) == ["ndf", "brighter-converged"] and brighter.fits == [(None, 0, 32, None)]
+    assert first.methods[1].label == "Brighter, to convergence"
+    # A time that the user gave is always trained for, with what the first training's search found.
+    timed = compared(run, capture, tmp_path, "ndf", "brighter", mesh_seconds=0.5)
+    assert keys(timed) == ["ndf", "brighter-equal-time", "brighter-converged"] and brighter.fits[1:] == [
+        (0.5, 0, 32, 0.5)
+    ]
+    # Slower than the run.
+    monkeypatch.setattr(brighter, "seconds_to_converge", 2 * RUN_SECONDS)
+    slow = compared(run, capture, tmp_path / "slow", "brighter")
+    assert keys(slow) == ["brighter-equal-time", "brighter-converged"] and brighter.fits[-1][0] == RUN_SECONDS
+
+
+@pytest.mark.parametrize(
+    ("spec", "expected", "seconds"),
+    [
+        ("brighter@converged", "brighter-converged", None),
+        ("brighter@equal-time", "brighter-equal-time", RUN_SECONDS),
+    ],
+)
+def test_a_budget_is_followed(run, capture, tmp_path, brighter, spec, expected, seconds):
+    assert keys(compared(run, capture, tmp_path, spec)) == [expected]
+    assert [fit[0] for fit in brighter.fits] == [seconds]
+
+
+def test_what_is_there_is_neither_trained_nor_rendered_again(run, capture, tmp_path, brighter):
+    first = compared(run, capture, tmp_path, "ndf", "brighter", sequence=2)
+    done = len(brighter.fits), len(brighter.renders)
+
+    class Never(Silent):
+        def begin(self, unit, number, of):
+            pytest.fail(f"did {unit.key} again")
+
+    again = compared(run, capture, tmp_path, "ndf", "brighter", sequence=2, progress=Never())
+    assert again.methods == first.methods and (len(brighter.fits), len(brighter.renders)) == done
+    # More images: only those that are missing are rendered. Other settings of training: it is trained again.
+    compared(run, capture, tmp_path, "brighter", sequence=2, max_images=2)
+    assert (
+        len(brighter.fits) == done[0]
+        and len(brighter.renders) > done[1]
+        and len(set(brighter.renders)) == len(brighter.renders)
+    )
+    compared(run, capture, tmp_path, "brighter", texture=16)
+    assert [fit[2] for fit in brighter.fits] == [32, 16]
+    # Fewer methods: the others' records stay.
+    assert keys(compared(run, capture, tmp_path, "ndf", progress=Never())) == ["ndf"]
+    assert keys(compared(run, capture, tmp_path, "ndf", "brighter", texture=16, progress=Never())) == [
+        "ndf",
+        "brighter-converged",
+    ]
+
+
+def test_an_interrupted_comparison_continues(run, capture, tmp_path, brighter):
+    class Interrupting(Silent):
+        def done(self, unit, number, of):
+            if unit.record.__name__ == "Measured" and number == 2:
                 raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Comparison(run, capture.path, tmp_path, SETTINGS, "").run(Interrupting())
-    assert not (tmp_path / "report.html").exists()
-    _, watcher = compared(run, capture, tmp_path)
-    assert not watcher.trained
-    assert [done for label, done, _ in watcher.measured_images if label == "NDF"] == [3]
+        compared(run, capture, tmp_path, "brighter", progress=Interrupting())
+    assert len(brighter.renders) == 2
+    results = compared(run, capture, tmp_path, "brighter")
+    assert len(brighter.fits) == 1 and len(brighter.renders) == len(results.methods[0].images) == 3
+
+
+def test_images_of_another_program_are_measured(run, capture, tmp_path):
+    pictures = tmp_path / "theirs"
+    for camera, frame in [pair for split in capture.splits.values() for pair in split]:
+        (pictures / camera).mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.round(capture.image(camera, frame) * 255).astype(np.uint8)).save(
+            pictures / camera / f"{frame:06d}.png"
+        )
+    results = compared(run, capture, tmp_path / "out", "ndf", f"images:{pictures}")
+    assert keys(results) == ["ndf", "images-theirs"] and results.methods[1].label == "theirs"
+    assert results.methods[1].mean("novel_view", "box_psnr") > 50
+    # A missing picture is reported before anything is measured.
+    for picture in (pictures / "n0").iterdir():
+        picture.unlink()
+    with pytest.raises(InputError, match="n0"):
+        Comparison(
+            run, capture.path, tmp_path / "other", settings("ndf", f"images:{pictures}", max_images=9), ""
+        )
+    assert not (tmp_path / "other").exists()
+
+
+def test_real_methods_by_the_command_line(run, capture, tmp_path, capsys):
+    out = tmp_path / "out"
+    arguments = [
+        "compare",
+        str(run),
+        "--capture",
+        str(capture.path),
+        "-o",
+        str(out),
+        "--max-images",
+        "1",
+        "--texture",
+        "16",
+        "--samples",
+        "16",
+        "--mesh-seconds",
+        "0.3",
+        "--methods",
+        "ndf,mesh@equal-time",
+    ]
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out
+    assert "Mesh, equal time" in printed and "Box PSNR" in printed and str(out / "report.html") in printed
+    document = json.loads((out / RESULTS).read_text())
+    assert (
+        document["about"]["command"].startswith("ndf-mi compare")
+        and "--mesh-seconds 0.3" in document["about"]["command"]
+    )
+    field, mesh = document["methods"]
+    assert (
+        mesh["metadata"]["budget"] == 0.3
+        and mesh["means"]["novel_view"]["box_psnr"] > field["means"]["novel_view"]["box_psnr"]
+    )
+
+
+@pytest.mark.parametrize("value", ["none", "equal-time", "some"])
+def test_the_old_option_for_offsets_warns(run, capture, tmp_path, capsys, value):
+    arguments = [
+        "compare",
+        str(run),
+        "--capture",
+        str(capture.path),
+        "-o",
+        str(tmp_path / "out"),
+        "--offsets",
+        value,
+    ]
+    # The number of images is refused, so that nothing is compared.
+    assert main([*arguments, "--max-images", "0"]) == 2
+    text = capsys.readouterr().err
+    assert "--methods" in text and "deprecated" in text and ("max-images" in text) == (value != "some")
 
 
 def test_another_capture_is_refused(run, write_capture, tmp_path):
     with pytest.raises(InputError, match="trained on"):
-        Comparison(run, write_capture("other"), tmp_path, SETTINGS, "")
+        Comparison(run, write_capture("other"), tmp_path, settings("ndf"), "")
     assert not any(tmp_path.iterdir())
 
 
-def test_not_a_run(capture, tmp_path):
-    with pytest.raises(InputError, match="config.json"):
-        Comparison(tmp_path, capture.path, tmp_path / "out", SETTINGS, "")
-
-
-def test_a_run_without_training_time_needs_the_option(run, capture, tmp_path, monkeypatch):
+def test_a_run_without_training_time_needs_the_option(run, capture, tmp_path, brighter):
+    shutil.copytree(run, tmp_path / "run")
     config = json.loads((run / "config.json").read_text())
-    files.write_json(run / "config.json", {key: value for key, value in config.items() if key != "trained"})
-    try:
-        with pytest.raises(InputError, match="--mesh-seconds"):
-            Comparison(run, capture.path, tmp_path, SETTINGS, "")
-        Comparison(run, capture.path, tmp_path, replace(SETTINGS, mesh_seconds=1.0), "")
-    finally:
-        files.write_json(run / "config.json", config)
+    del config["trained"]
+    files.write_json(tmp_path / "run" / "config.json", config)
+    with pytest.raises(InputError, match="--mesh-seconds"):
+        Comparison(tmp_path / "run", capture.path, tmp_path, settings("ndf", "brighter"), "")
+    for one in (
+        settings("ndf", "brighter", mesh_seconds=1.0),
+        settings("ndf", "brighter@converged"),
+        settings("ndf"),
+    ):
+        Comparison(tmp_path / "run", capture.path, tmp_path, one, "")
 
 
-def test_a_run_that_went_on_for_a_moment_keeps_its_meshes(run, capture, tmp_path):
+def test_a_run_that_went_on_for_a_moment_keeps_equal_time_trainings(run, capture, tmp_path, brighter):
+    shutil.copytree(run, tmp_path / "run")
     config = json.loads((run / "config.json").read_text())
 
-    def of(seconds, **given):
-        files.write_json(run / "config.json", {**config, "trained": {**config["trained"], "seconds": seconds}})
-        return compared(run, capture, tmp_path, replace(SETTINGS, offsets="equal-time", **given))[1].trained
+    def trained_for(seconds, **given):
+        files.write_json(
+            tmp_path / "run" / "config.json", {**config, "trained": {**config["trained"], "seconds": seconds}}
+        )
+        before = len(brighter.fits)
+        compared(tmp_path / "run", capture, tmp_path, "brighter@equal-time", **given)
+        return [fit[0] for fit in brighter.fits[before:]]
 
-    try:
-        # Of the mesh with offsets alone: whether the other one converges within the time depends on the machine.
-        timed = "mesh with offsets of equal time"
-        assert timed in of(0.5)
-        assert timed not in of(0.504)
-        assert timed in of(0.504, mesh_seconds=0.504)
-        assert timed in of(0.6)
-    finally:
-        files.write_json(run / "config.json", config)
+    assert trained_for(0.5) == [0.5]
+    assert trained_for(0.504) == []
+    assert trained_for(0.504, mesh_seconds=0.504) == [0.504]
+    assert trained_for(0.6) == [0.6]
 
 
 @pytest.mark.parametrize(
@@ -177,38 +350,37 @@ def test_a_run_that_went_on_for_a_moment_keeps_its_meshes(run, capture, tmp_path
         {"texture": 0},
         {"samples": -1},
         {"mesh_seconds": 0.0},
+        {"mesh_seconds": float("inf")},
         {"seed": -1},
         {"sequence": 1},
-        {"offsets": "some"},
+        {"sequence": -1},
+        {"protocol": "some"},
+        {"methods": ("some",)},
+        {"methods": ("ndf", "ndf")},
     ],
 )
-def test_options_are_checked(option):
-    with pytest.raises(InputError, match="option"):
+def test_settings_are_checked(option):
+    with pytest.raises(InputError, match=next(iter(option)).replace("_", "-").rstrip("s")):
         Settings(**option)
 
 
-def test_command_repeats_itself(tmp_path):
-    command = Compare(tmp_path / "run", tmp_path / "capture", max_images=3, out=tmp_path / "out")
-    arguments = command._arguments()
-    assert arguments[:4] == ["compare", str(tmp_path / "run"), "--capture", str(tmp_path / "capture")]
-    assert arguments[4:] == ["--out", str(tmp_path / "out"), "--max-images", "3"]
+def test_mistakes_leave_with_exit_code_2_and_nothing_written(run, capture, tmp_path, capsys):
+    out = tmp_path / "out"
+    for arguments, words in (
+        ([str(tmp_path / "absent"), "--capture", str(capture.path)], ["absent"]),
+        ([str(run), "--capture", str(capture.path), "--methods", "ndf,nerf"], ["nerf", "offset-mesh"]),
+        (
+            [str(run), "--capture", str(capture.path), "--methods", f"ndf,images:{tmp_path / 'nowhere'}"],
+            ["nowhere"],
+        ),
+    ):
+        assert main(["compare", *arguments, "-o", str(out)]) == 2
+        text = capsys.readouterr().err
+        assert all(word in text for word in [*words, "expected"]) and "Traceback" not in text
+    assert not out.exists()
 
 
-def test_folder_with_something_else_is_refused(run, capture, tmp_path):
-    (tmp_path / comparison.RESULTS).write_text("{}")
-    with pytest.raises(InputError, match="compare.json"):
-        Comparison(run, capture.path, tmp_path, SETTINGS, "")
-
-
-def test_mistakes_leave_with_exit_code_2_and_nothing_written(capture, tmp_path, capsys):
-    arguments = ["compare", str(tmp_path / "absent"), "--capture", str(capture.path), "-o", str(tmp_path / "out")]
-    assert main(arguments) == 2
-    said = capsys.readouterr().err
-    assert "absent" in said and "expected" in said and "Traceback" not in said
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_split_of_successive_frames_is_measured_and_shown(run, capture, tmp_path):
+def test_a_split_of_successive_frames_is_measured(run, capture, tmp_path):
     folder, own = tmp_path / "capture", tmp_path / "run"
     shutil.copytree(capture.path, folder)
     shutil.copytree(run, own)
@@ -218,11 +390,8 @@ def test_a_split_of_successive_frames_is_measured_and_shown(run, capture, tmp_pa
     config = json.loads((own / "config.json").read_text())
     config["capture"]["digest"] = Capture.read(folder).digest
     (own / "config.json").write_text(json.dumps(config))
-    settings = replace(SETTINGS, sequence=3, offsets="none")
-    results = Comparison(own, folder, tmp_path / "out", settings, "ndf-mi compare").run(Watcher())
+    results = Comparison(own, folder, tmp_path / "out", replace(settings("ndf"), sequence=3), "").run()
     assert results.about["measured"] == {"novel_view": 1, "novel_pose": 1, "sequence": 3, "train": 1}
     field = results.methods[0]
     assert field.mean("sequence", "box_psnr") is not None and field.mean("sequence", "box_tpsnr") is not None
     assert field.mean("novel_view", "box_tpsnr") is None
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "3 of successive frames" in page and "means over 3 images, of tPSNR over 2 pairs of frames" in page

@@ -1,4 +1,4 @@
-"""Which images are measured, and that measuring goes on where it was."""
+"""Which images are measured, and that measuring continues where it stopped."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 
 from ndf_mi.errors import InputError
-from ndf_mi.experiments.evaluate import choose_views, evaluate, to_render
-from ndf_mi.experiments.flicker import choose_sequences
-from ndf_mi.experiments.records import FrameSequence, MethodResult, Results, View
+from ndf_mi.experiments.core import Silent
+from ndf_mi.experiments.evaluate import ImageSet, already_measured, choose_views, measure
+from ndf_mi.experiments.flicker import choose_sequences, read_picture
+from ndf_mi.experiments.records import FrameSequence, View
+from ndf_mi.experiments.store import Store
 
 
 class Shifted:
-    """The truth plus a constant, counting what it renders."""
+    """The truth plus a constant; it counts what it renders."""
 
-    name = "shifted"
+    key, label = "shifted", "Shifted"
 
     def __init__(self, capture, shift: float) -> None:
         self._capture = capture
@@ -27,8 +29,31 @@ class Shifted:
         self.rendered.append((camera.name, frame))
         return self._capture.image(camera.name, frame) + np.float32(self._shift)
 
-    def facts(self):
-        return {"seconds": 61.0, "steps": 1000}
+    def metadata(self):
+        # The noise of the picture rendered last: 40 dB, then 50 dB, and so on.
+        return {"seconds": 61.0, **({"noise_psnr": 30.0 + 10 * len(self.rendered)} if self.rendered else {})}
+
+    def cache_key(self):
+        return f"{self._shift}"
+
+
+@pytest.fixture
+def measured(capture, tmp_path):
+    """Measures images with a store on disk, which is read again each time."""
+
+    def call(method, views, sequences=(), progress=None):
+        store = Store(tmp_path / "study.json", "test")
+        return measure(
+            "m",
+            "M",
+            method,
+            ImageSet(capture, views, sequences),
+            tmp_path / "pictures",
+            store,
+            progress or Silent(),
+        )
+
+    return call
 
 
 def test_views_cover_the_splits_and_grow_without_changing(capture):
@@ -46,54 +71,68 @@ def test_a_capture_without_held_out_images_is_refused(capture, monkeypatch):
         choose_views(capture, 4)
 
 
-def test_only_what_is_missing_is_rendered(capture, tmp_path):
-    views = choose_views(capture, 2)
-    method, result, calls = Shifted(capture, 0.1), MethodResult("m", "M", ""), []
-    evaluate(method, result, capture, views[:3], tmp_path, lambda: calls.append(len(result.images)))
-    assert len(method.rendered) == 3 and calls == [1, 2, 3]
-    evaluate(method, result, capture, views, tmp_path, lambda: None)
-    assert len(method.rendered) == len(views)
-    assert [image.view for image in result.images] == views
-    (tmp_path / views[0].file).unlink()
-    evaluate(method, result, capture, views, tmp_path, lambda: None)
+def test_only_what_is_missing_or_stale_is_rendered(capture, measured, tmp_path):
+    views, method = choose_views(capture, 2), Shifted(capture, 0.1)
+    measured(method, views[:3])
+    assert len(method.rendered) == 3
+    result = measured(method, views)
+    assert len(method.rendered) == len(views) and [image.view for image in result.images] == views
+    (tmp_path / "pictures" / "m" / views[0].file).unlink()
+    measured(method, views)
     assert len(method.rendered) == len(views) + 1
+    other = Shifted(capture, 0.2)
+    assert measured(other, views).mean("train", "psnr") < result.mean("train", "psnr") and len(
+        other.rendered
+    ) == len(views)
 
 
-def test_frames_of_a_sequence_are_shared_and_do_not_count_in_the_means(capture, tmp_path):
+def test_frames_of_a_sequence_are_shared_and_do_not_count_in_the_means(capture, measured):
     views = [View("novel_view", "n0", 2)]
     sequence = FrameSequence("novel_view", "n0", (2, 5))
-    assert to_render(views, [sequence]) == [View("novel_view", "n0", 2), View("novel_view", "n0", 5)]
-    method, result, calls = Shifted(capture, 0.1), MethodResult("m", "M", ""), []
-    evaluate(method, result, capture, views, tmp_path, lambda: calls.append(len(result.flicker)), [sequence])
-    assert method.rendered == [("n0", 2), ("n0", 5)] and calls == [0, 0]
-    assert [image.sampled for image in result.images] == [True, False]
+    images = ImageSet(capture, views, [sequence])
+    assert images.rendered() == [
+        View("novel_view", "n0", 2),
+        View("novel_view", "n0", 5),
+    ] and images.counts() == {"novel_view": 1}
+    method = Shifted(capture, 0.1)
+    result = measured(method, views, [sequence])
+    assert method.rendered == [("n0", 2), ("n0", 5)] and [image.sampled for image in result.images] == [
+        True,
+        False,
+    ]
     assert result.mean("novel_view", "box_psnr") == result.images[0].figures["box_psnr"]
     assert [known.sequence for known in result.flicker] == [sequence]
     # A constant shift stays, up to rounding to 8 bits: −20·log10(2/255) is more than 42 dB.
     assert result.mean("novel_view", "box_tpsnr") > 42 and result.mean("train", "box_tpsnr") is None
 
-    # Without the sequence its own frame goes; asked for as an image it counts, without being rendered again if it is there.
-    both = [*views, View("novel_view", "n0", 5)]
-    evaluate(method, result, capture, both, tmp_path, lambda: None)
-    assert len(method.rendered) == 2 and all(image.sampled for image in result.images) and result.flicker == []
-    evaluate(method, result, capture, views, tmp_path, lambda: None)
-    assert [image.view for image in result.images] == views
-    assert result.mean("novel_view", "box_tpsnr") is None
+    # An image that only the sequence needed counts when it is asked for, without being rendered again.
+    both = measured(method, [*views, View("novel_view", "n0", 5)])
+    assert len(method.rendered) == 2 and all(image.sampled for image in both.images) and both.flicker == []
+    alone = measured(method, views)
+    assert [image.view for image in alone.images] == views and alone.mean("novel_view", "box_tpsnr") is None
 
 
-def test_sequences_survive_the_disk(capture, tmp_path):
-    result = MethodResult("m", "M", "print")
-    sequences = choose_sequences(capture, 12)
-    evaluate(Shifted(capture, 0.0), result, capture, choose_views(capture, 1), tmp_path, lambda: None, sequences)
-    assert result.mean("train", "box_tpsnr") == math.inf
-    made = Results({"command": "c"}, [result])
-    made.write(tmp_path / "compare.json")
-    assert Results.read(tmp_path / "compare.json") == made
+def test_a_result_counts_as_measured_only_if_it_is_complete(capture, measured, tmp_path):
+    views, method = choose_views(capture, 1), Shifted(capture, 0.0)
+    images = ImageSet(capture, views, choose_sequences(capture, 12))
+
+    def known(of):
+        return already_measured(
+            "m", "M", of, images, tmp_path / "pictures", Store(tmp_path / "study.json", "test")
+        )
+
+    measured(method, views)
+    assert known(method) is None
+    result = measured(method, views, images.sequences)
+    assert known(method) == result and result.mean("train", "box_tpsnr") == math.inf
+    assert known(Shifted(capture, 0.1)) is None
 
 
-def test_a_picture_brighter_than_white_is_white(capture, tmp_path):
-    result = MethodResult("m", "M", "")
-    evaluate(Shifted(capture, 5.0), result, capture, [View("train", "c0", 2)], tmp_path, lambda: None)
-    from ndf_mi.experiments.flicker import read_picture
+def test_noise_is_averaged_over_images_as_mean_squared_error(capture, measured):
+    result = measured(Shifted(capture, 0.1), choose_views(capture, 1)[:2])
+    assert result.metadata["noise_psnr"] == pytest.approx(-10 * math.log10((1e-4 + 1e-5) / 2))
 
-    assert (read_picture(tmp_path, View("train", "c0", 2)) == 1).all()
+
+def test_a_picture_brighter_than_white_is_white(capture, measured, tmp_path):
+    measured(Shifted(capture, 5.0), [View("train", "c0", 2)])
+    assert (read_picture(tmp_path / "pictures" / "m", View("train", "c0", 2)) == 1).all()

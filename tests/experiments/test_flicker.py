@@ -49,7 +49,8 @@ def test_a_still_error_is_free_and_a_flickering_one_is_not(capture, sequence, tm
     # Nothing but the rounding of single precision is left, 1e-7.
     assert measure_flicker(capture, sequence, tmp_path).tpsnr[0] > 130
     write(tmp_path, sequence, [truth[0] + step, truth[1] - step])
-    # The change is wrong by 20 levels everywhere: −20·log10(20/255) = 22.1102 dB, 6.02 dB below the PSNR of each frame.
+    # The change is wrong by 20 levels everywhere: −20·log10(20/255) = 22.1102 dB, 6.02 dB below the PSNR of
+    # each frame.
     assert measure_flicker(capture, sequence, tmp_path).tpsnr == [pytest.approx(22.1102, abs=1e-3)]
 
 

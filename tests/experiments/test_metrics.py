@@ -33,7 +33,8 @@ def look_at(origin, target, w=40, h=30, focal=35.0, cx=18.5, cy=16.0):
 
 
 def test_psnr_by_hand():
-    # Errors 0.1 and 0.3 in one channel of two pixels: MSE = (0.01 + 0.09) / 6 over both, 0.01 / 3 over the first.
+    # Errors 0.1 and 0.3 in one channel of two pixels: MSE = (0.01 + 0.09) / 6 over both, 0.01 / 3 over the
+    # first.
     truth, image = np.zeros((1, 2, 3)), np.zeros((1, 2, 3))
     image[0, 0, 0], image[0, 1, 2] = 0.1, 0.3
     assert metrics.psnr(truth, image) == pytest.approx(17.7815125)
@@ -57,7 +58,8 @@ def test_temporal_psnr_by_hand():
 
 
 def test_box_figures_by_hand():
-    # 8 × 9 pixels, grey. The box is rows 0–6, columns 1–7: exactly one SSIM window. Truth 0.5 in it, image 0.7; outside, the
+    # 8 × 9 pixels, grey. The box is rows 0–6, columns 1–7: exactly one SSIM window. Truth 0.5 in it, image
+    # 0.7; outside, the
     # truth is 0 and the image 1, which only whole-image figures may see.
     truth, image, mask = np.zeros((8, 9, 3)), np.ones((8, 9, 3)), np.zeros((8, 9), bool)
     mask[:7, 1:8] = True
@@ -73,11 +75,13 @@ def test_box_figures_by_hand():
     windows = [metrics.ssim(truth[r : r + 7, c : c + 7], image[r : r + 7, c : c + 7]) for r in (0, 1) for c in (0, 1, 2)]
     assert windows[1] == pytest.approx(0.7001 / 0.7401)
     assert figures["ssim"] == pytest.approx(np.mean(windows))
-    # Zeros outside the mask are part of the box's rectangle: with one pixel cut out of the mask both sides have a zero there.
+    # Zeros outside the mask are part of the box's rectangle: with one pixel cut out of the mask both sides
+    # have a zero there.
     mask[0, 1] = False
     cut_truth, cut_image = np.full((7, 7, 3), 0.5), np.full((7, 7, 3), 0.7)
     cut_truth[0, 0] = cut_image[0, 0] = 0
-    # Means 0.5·48/49 and 0.7·48/49; sample variances 0.5²/49 and 0.7²/49, covariance 0.35/49 (48/49 · 49/48 · 1/49).
+    # Means 0.5·48/49 and 0.7·48/49; sample variances 0.5²/49 and 0.7²/49, covariance 0.35/49 (48/49 · 49/48 ·
+    # 1/49).
     a, b = 24 / 49, 33.6 / 49
     expected = (2 * a * b + 1e-4) * (0.7 / 49 + 9e-4) / ((a * a + b * b + 1e-4) * (0.74 / 49 + 9e-4))
     assert metrics.ssim(cut_truth, cut_image) == pytest.approx(expected)
@@ -86,20 +90,24 @@ def test_box_figures_by_hand():
 
 
 def test_box_mask_by_hand():
-    # A camera at z = 2 looking along −z, 4 × 4 pixels, focal length 4: rays have slopes ±1/8 and ±3/8. The body is one point
-    # at the origin, so the box is ±5 cm; its face towards the camera is 1.95 m away: half extent 0.0256 in slope, no ray hits.
+    # A camera at z = 2 looking along −z, 4 × 4 pixels, focal length 4: rays have slopes ±1/8 and ±3/8. The
+    # body is one point
+    # at the origin, so the box is ±5 cm; its face towards the camera is 1.95 m away: half extent 0.0256 in
+    # slope, no ray hits.
     transform = np.eye(4)
     transform[2, 3] = 2
     camera = Camera("c", 4, 4, 4.0, 4.0, 2.0, 2.0, transform)
     assert not metrics.box_mask(camera, np.zeros((1, 3))).any()
-    # With the corners ±0.2 the box is ±0.25, its near face 1.75 m away: ±0.1429 in slope, the four middle pixels.
+    # With the corners ±0.2 the box is ±0.25, its near face 1.75 m away: ±0.1429 in slope, the four middle
+    # pixels.
     expected = np.zeros((4, 4), bool)
     expected[1:3, 1:3] = True
     corners = np.array([[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]])
     assert (metrics.box_mask(camera, corners) == expected).all()
     # Without padding ±0.2 at 1.8 m: 0.1111 is below 1/8.
     assert not metrics.box_mask(camera, corners, padding=0.0).any()
-    # Moved by 0.45 m along x, the near face reaches from 0.2 to 0.7: slopes 1/8 and 3/8 meet it at 0.219 and 0.656.
+    # Moved by 0.45 m along x, the near face reaches from 0.2 to 0.7: slopes 1/8 and 3/8 meet it at 0.219 and
+    # 0.656.
     expected = np.zeros((4, 4), bool)
     expected[1:3, 2:4] = True
     assert (metrics.box_mask(camera, corners + [0.45, 0, 0]) == expected).all()
@@ -150,7 +158,8 @@ def test_data_range_two_is_higher(pair):
 
 
 def test_averages_are_of_images():
-    # PSNR is averaged in decibels, an image at a time: MSEs 0.01 and 0.0001 are 20 and 40 dB, 30 on average; the PSNR of their
+    # PSNR is averaged in decibels, an image at a time: MSEs 0.01 and 0.0001 are 20 and 40 dB, 30 on average;
+    # the PSNR of their
     # mean would be 22.97.
     images = [np.full((7, 7, 3), level) for level in (0.1, 0.01)]
     figures = [metrics.measure(np.zeros((7, 7, 3)), image, np.ones((7, 7), bool)) for image in images]
@@ -161,7 +170,8 @@ def test_flip_of_black_against_white_is_the_published_maximum(pair):
     assert metrics.flip_map(pair[0], pair[0]).max() == 0
     grey = metrics.flip_map(np.zeros((64, 64, 3)), np.ones((64, 64, 3)))
     assert grey.shape == (64, 64)
-    # The largest error between any two grey levels, given by the colour metric alone: 1 up to its compression.
+    # The largest error between any two grey levels, given by the colour metric alone: 1 up to its
+    # compression.
     assert grey[32, 32] == pytest.approx(0.967, abs=0.01)
 
 
@@ -210,7 +220,9 @@ def test_mismatches_are_refused(pair):
 
 
 def hunt_lab(rgb: tuple[float, float, float]) -> np.ndarray:
-    """Linear sRGB to L*a*b* with FLIP's white, a and b scaled by L/100 for Hunt's effect (Andersson et al. 2020, section 4.1)."""
+    """Linear sRGB to L*a*b* with FLIP's white, a and b scaled by L/100 for Hunt's effect (Andersson et al.
+    2020, section 4.1).
+    """
     matrix = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]])
     scaled = (matrix @ np.array(rgb)) / (matrix @ np.ones(3))
     f = np.where(scaled > (6 / 29) ** 3, np.cbrt(scaled), scaled / (3 * (6 / 29) ** 2) + 4 / 29)
@@ -219,7 +231,9 @@ def hunt_lab(rgb: tuple[float, float, float]) -> np.ndarray:
 
 
 def flip_of_constants(first: tuple[float, float, float], second: tuple[float, float, float]) -> float:
-    """FLIP of two images of one colour each, 0 or 1 a channel: no filter changes them and they have no features."""
+    """FLIP of two images of one colour each, 0 or 1 a channel: no filter changes them and they have no
+    features.
+    """
     def distance(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
         difference = hunt_lab(a) - hunt_lab(b)
         return float(abs(difference[0]) + np.hypot(*difference[1:])) ** 0.7
@@ -230,8 +244,8 @@ def flip_of_constants(first: tuple[float, float, float], second: tuple[float, fl
 
 
 def test_box_flip_is_of_the_bounding_rectangle_in_the_whole_image():
-    """The truth is black; the picture's right half is white. Filters reach a few pixels: further from the edge than that, FLIP is that of
-    one colour against another."""
+    """The truth is black; the picture's right half is white. Filters reach a few pixels: further from the
+    edge than that, FLIP is that of one colour against another."""
     truth, picture = np.zeros((2, 60, 160, 3), dtype=np.float32)
     picture[:, 80:] = 1
     white = flip_of_constants((0, 0, 0), (1, 1, 1))
@@ -245,7 +259,8 @@ def test_box_flip_is_of_the_bounding_rectangle_in_the_whole_image():
     # Two corners of the mask span a rectangle; what lies between them counts, mask or not.
     assert box_flip((5, 3), (40, 40)) == pytest.approx(0, abs=1e-4)
     assert box_flip((5, 120), (40, 155)) == pytest.approx(white, abs=2e-3)
-    # A rectangle of 20 rows and 110 columns over the edge: its ends are known, its middle of 60 columns is the same wherever it ends.
+    # A rectangle of 20 rows and 110 columns over the edge: its ends are known, its middle of 60 columns is
+    # the same wherever it ends.
     middle = box_flip((20, 50), (39, 109))
     assert box_flip((20, 50), (39, 159)) == pytest.approx((60 * middle + 50 * white) / 110, abs=2e-3)
     assert box_flip((20, 0), (39, 109)) == pytest.approx(60 * middle / 110, abs=2e-3)

@@ -9,17 +9,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tyro
 
-from ndf_mi import commands
 from ndf_mi.capture.document import Imported, Split
 from ndf_mi.commands import main
-from ndf_mi.commands.compare import Compare
+from ndf_mi.commands.optimise import Optimise
 from ndf_mi.commands.training_options import configured
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
 from ndf_mi.experiments.evaluate import choose_views
 from ndf_mi.experiments.flicker import choose_sequences
-from ndf_mi.experiments.protocols import DYNACAP, OURS, PROTOCOLS, ZJU, named
+from ndf_mi.experiments.protocols import DEFAULT, DYNACAP, PROTOCOLS, ZJU, named
 from ndf_mi.experiments.records import View
 from ndf_mi.field import PRESETS
 from ndf_mi.run import Run
@@ -76,10 +76,10 @@ def test_fewer_images_are_drawn_from_the_protocols():
     assert [sum(v.split == split for v in part) for split in ("novel_view", "novel_pose")] == [5, 5]
 
 
-def test_ours_takes_any_capture_and_48_images():
+def test_the_default_takes_any_capture_and_48_images():
     tiny = layout(1, 1, range(2), range(2, 3))
     assert View("novel_pose", "c01", 2) in choose_views(tiny, None)
-    views = choose_views(layout(), None, protocol=OURS)
+    views = choose_views(layout(), None, protocol=DEFAULT)
     assert [sum(v.split == split for v in views) for split in ("novel_view", "novel_pose")] == [48, 48]
 
 
@@ -92,9 +92,15 @@ CASES = {
     "training cameras": (layout(train=5), r"splits.train.cameras.*5 cameras.*4 cameras, for protocol zju"),
     "test cameras": (layout(test=4), r"splits.novel_view.cameras.*4 cameras.*at least 17"),
     "training frames": (layout(seen=range(30)), r"splits.train.frames.*30 frames.*at least 60"),
-    "novel poses": (layout(novel=range(60, 100)), r"splits.novel_pose.frames.*40 frames.*30th makes 2.*at least 7"),
+    "novel poses": (
+        layout(novel=range(60, 100)),
+        r"splits.novel_pose.frames.*40 frames.*30th makes 2.*at least 7",
+    ),
     "no novel poses": (layout(novel=()), r"splits.novel_pose.frames.*0 frames"),
-    "poses trained on": (layout(novel=range(59, 300)), r"novel_pose.frames.*frame 59, a training frame.*not trained on"),
+    "poses trained on": (
+        layout(novel=range(59, 300)),
+        r"novel_pose.frames.*frame 59, a training frame.*not trained on",
+    ),
 }
 
 
@@ -103,7 +109,7 @@ def test_a_capture_that_lacks_what_the_protocol_needs_is_refused(case):
     capture, expected = CASES[case]
     with pytest.raises(InputError, match=expected) as refused:
         choose_views(capture, None, protocol=ZJU)
-    assert "--protocol ours" in refused.value.repair
+    assert "--protocol default" in refused.value.repair
 
 
 def test_cameras_trained_on_are_no_test_cameras():
@@ -125,8 +131,8 @@ def test_what_differs_in_training_is_said():
     assert ZJU.notes({"edge_kernel": 3}, black) == []
     kernel, background = ZJU.notes({"edge_kernel": 0}, grey)
     assert "kernel is 0" in kernel and "(0.50, 0.50, 0.50)" in background
-    assert "not known" in ZJU.notes(None, black)[0]
-    assert OURS.notes(None, layout(background=0.5), 3) == []
+    assert "unknown" in ZJU.notes(None, black)[0]
+    assert DEFAULT.notes(None, layout(background=0.5), 3) == []
     # 17 cameras; 2 frames of the novel views and 34 of the novel poses.
     assert ZJU.notes({"edge_kernel": 5}, black, 600) == []
     (part,) = ZJU.notes({"edge_kernel": 5}, black, 40)
@@ -152,19 +158,19 @@ DIFFERENCES = {
     "nothing": (OF_313, []),
     "thinned out as the protocol does": (OF_313 | {"novel": range(60, 1060, 30)}, []),
     "another subject's frames": (OF_313 | {"imported": imported("377", zju_order(21))}, [
-        "60 of 300 training frames of subject 377", "2 frames of novel views are measured; the protocol has 10",
-        "34 frames of novel poses are measured; the protocol has 7"]),
-    "fewer novel poses": (OF_313 | {"novel": range(60, 260)}, ["7 frames of novel poses are measured; the protocol has 34"]),
+        "60 of the 300 training frames of subject 377", "2 frames of novel views are measured; the protocol measures 10",
+        "34 frames of novel poses are measured; the protocol measures 7"]),
+    "fewer novel poses": (OF_313 | {"novel": range(60, 260)}, ["7 frames of novel poses are measured; the protocol measures 34"]),
     "other training cameras": (OF_313 | {"imported": imported("313", [f"c{i:02d}" for i in range(21)])}, [
-        "Training cameras are not the protocol's, but without c06, c12, c18 and with c01, c02, c03",
-        "Test cameras of novel views are not", "Test cameras of novel poses are not"]),
+        "training cameras are not the protocol's: c06, c12, c18 missing and c01, c02, c03 added",
+        "test cameras of novel views are not", "test cameras of novel poses are not"]),
     "fewer test cameras": (OF_313 | {"imported": imported("313", zju_order(23))}, [
-        "Test cameras of novel views are not the protocol's, but without c21, c22.", "Test cameras of novel poses"]),
+        "test cameras of novel views are not the protocol's: c21, c22 missing.", "test cameras of novel poses"]),
     "another size": (OF_313 | {"imported": imported("313", zju_order(21), scale=1.0)}, [
-        "Images are at 1 of 1024² pixels; the protocol's are at 0.5."]),
-    "an unknown subject": (OF_313 | {"imported": imported("999", zju_order(21))}, ["Of subject '999' the protocol is not known"]),
+        "scaled by 1 from 1024² pixels; the protocol scales by 0.5"]),
+    "an unknown subject": (OF_313 | {"imported": imported("999", zju_order(21))}, ["unknown for subject '999'"]),
     "another layout": (OF_313 | {"imported": imported("D1", zju_order(21), "dynacap")}, ["imported from another layout, dynacap"]),
-    "nothing known": (OF_313 | {"imported": None}, ["does not say what it was imported from"]),
+    "nothing known": (OF_313 | {"imported": None}, ["does not record what it was imported from"]),
 }  # fmt: skip
 
 
@@ -174,7 +180,9 @@ def test_every_difference_from_the_subjects_protocol_is_said(case):
     capture = layout(**arguments)
     ZJU.check(capture)
     notes = ZJU.notes({"edge_kernel": 3}, capture)
-    assert len(notes) == len(expected) and all(words in note for words, note in zip(expected, notes, strict=True)), notes
+    assert len(notes) == len(expected) and all(
+        words in note for words, note in zip(expected, notes, strict=True)
+    ), notes
 
 
 def test_differences_from_dynacaps_numbers_are_said():
@@ -185,23 +193,28 @@ def test_differences_from_dynacaps_numbers_are_said():
 
     assert notes(5, range(1000), range(1000, 2000)) == []
     more, views, poses = notes(6, range(1010), range(1010, 2010))
-    assert "1010 of 1000 training frames of a sequence" in more and "6 cameras test novel views; the protocol has 5" in views and poses
+    assert (
+        "1010 of the 1000 training frames of a sequence" in more
+        and "6 cameras test novel views; the protocol has 5" in views
+        and poses
+    )
 
 
 def advised(text):
-    """The command in backquotes that a text advises, read by the command line's own parser, with a capture and a run."""
+    """Preset and options of the command in backquotes that a text recommends."""
     words = shlex.split(re.search("`ndf-mi (optimise [^`]*)`", text)[1])
-    return commands._parse(commands.find(words), [*words[1:], "CAPTURE", "-o", "RUN"])
+    command = tyro.cli(Optimise, args=[*words[1:], "CAPTURE", "-o", "RUN"])
+    return configured(command.preset, command.option)
 
 
-def test_what_is_advised_can_be_typed():
+def test_recommended_commands_can_be_typed():
     for protocol in (ZJU, DYNACAP):
-        command = advised(protocol.notes({"edge_kernel": 0}, layout())[0])
-        assert configured(command.preset, command.option)[1].edge_kernel in protocol.edge_kernels
+        assert (
+            advised(protocol.notes({"edge_kernel": 0}, layout())[0])[1].edge_kernel in protocol.edge_kernels
+        )
     manual = (Path(__file__).parents[2] / "docs" / "protocols.md").read_text()
     for found in re.finditer("`ndf-mi optimise [^`]*`", manual):
-        command = advised(found[0])
-        configured(command.preset, command.option)
+        advised(found[0])
 
 
 def test_headlines_name_both_data_ranges():
@@ -214,7 +227,9 @@ def test_headlines_name_both_data_ranges():
     assert whole and all(label.startswith("Whole-image") for label in whole)
 
 
-def test_a_comparison_by_a_protocol_that_the_capture_does_not_fit_leaves_with_exit_code_2(capture, tmp_path, capsys):
+def test_a_comparison_by_a_protocol_that_the_capture_does_not_fit_leaves_with_exit_code_2(
+    capture, tmp_path, capsys
+):
     made = Run.create(
         tmp_path / "run",
         PRESETS["tiny"],
@@ -226,7 +241,14 @@ def test_a_comparison_by_a_protocol_that_the_capture_does_not_fit_leaves_with_ex
         trained={"steps": 10, "seconds": 3600.0, "done": True},
     )
     made.save()
-    arguments = ["compare", str(tmp_path / "run"), "--capture", str(capture.path), "-o", str(tmp_path / "out")]
+    arguments = [
+        "compare",
+        str(tmp_path / "run"),
+        "--capture",
+        str(capture.path),
+        "-o",
+        str(tmp_path / "out"),
+    ]
     assert main([*arguments, "--protocol", "zju"]) == 2
     said = capsys.readouterr().err
     assert "splits.train.frames: found 2 frames; expected at least 60, for protocol zju" in said
@@ -235,12 +257,8 @@ def test_a_comparison_by_a_protocol_that_the_capture_does_not_fit_leaves_with_ex
     assert main([*arguments, "--sequence", "1"]) == 2
 
 
-def test_the_command_repeats_the_protocol(tmp_path):
-    command = Compare(tmp_path, tmp_path, protocol="dynacap", sequence=6)
-    assert command._arguments()[4:] == ["--protocol", "dynacap", "--sequence", "6"]
-
-
-def test_names():
-    assert [named(name).name for name in PROTOCOLS] == ["ours", "zju", "dynacap"]
-    with pytest.raises(InputError, match="option protocol.*'human36m'.*one of ours, zju, dynacap"):
+def test_names(capsys):
+    assert named("ours") is DEFAULT and "deprecated" in capsys.readouterr().err
+    assert [named(name).name for name in PROTOCOLS] == ["default", "zju", "dynacap"]
+    with pytest.raises(InputError, match="option protocol.*'human36m'.*one of default, zju, dynacap"):
         named("human36m")

@@ -1,4 +1,4 @@
-"""How much memory something takes, by Dr.Jit's own count."""
+"""Peak memory as Dr.Jit counts it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ import mitsuba as mi
 
 T = TypeVar("T")
 
-MEANING = ("the most that Dr.Jit had allocated for arrays while drawing, beyond what lay there before; blocks that it keeps for reuse "
-           "count. Ray tracing's trees, numpy's arrays and compiled kernels are not in it.")
+MEANING = (
+    "the peak of Dr.Jit's allocations while rendering, minus what was allocated before; blocks that it keeps for reuse count. "
+    "It excludes ray tracing acceleration structures, numpy arrays and compiled kernels."
+)
 
 
 def peak_memory(draw: Callable[[], T]) -> tuple[T, int]:
-    """What `draw` returns, and the bytes by which Dr.Jit's allocations grew at most meanwhile, beyond those before.
+    """The result of `draw`, and by how many bytes Dr.Jit's allocations grew at most while it ran.
 
-    The cache of freed blocks is emptied before, so that what is reused counts, too: the next call finds an empty cache.
+    The cache of freed blocks is emptied first, so that reused blocks count too.
     """
     gc.collect()
     dr.sync_thread()

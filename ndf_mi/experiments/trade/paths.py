@@ -1,4 +1,4 @@
-"""A run path traced by Mitsuba's `volpath`, the medium bounded in one way or another, itself or on a lattice."""
+"""A run path traced by Mitsuba's `volpath`: the field itself or on a grid, in one of several bounds."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ndf_mi.methods.lit import LitRenderer
 from ndf_mi.methods.lit_field import LAYERS
 from ndf_mi.run import Run
 
-#: Paths a pixel of the picture that stands for convergence.
 CONVERGED_SPP = 512
+"""Paths a pixel of pictures that count as converged."""
 
 
 class PathTracer:
-    """Draws a run under some light, a scene for each frame and way to hold the medium, kept.
+    """Renders a run in some light. It keeps a scene for each frame, kind of bounds and grid.
 
     Args:
         run: the run.
@@ -46,22 +46,32 @@ class PathTracer:
         return picture
 
     def loading(self, setting: PathSetting, frame: int) -> float:
-        """Seconds that the scene took to make: a frame of an animation takes them, too."""
+        """Seconds that the scene took to load; each frame of an animation needs them too."""
         return self._scene(setting, frame)[1]
 
     def _scene(self, setting: PathSetting, frame: int) -> tuple[mi.Scene, float]:
-        key = setting.bounds, setting.lattice, frame
+        key = setting.bounds, setting.grid_spacing, frame
         if key not in self._scenes:
             begun = time.perf_counter()
-            scene = mi.load_dict({"type": "scene", **self._lights, "performer": self._performer(setting.bounds, setting.lattice, frame)})
+            scene = mi.load_dict(
+                {
+                    "type": "scene",
+                    **self._lights,
+                    "performer": self._performer(setting.bounds, setting.grid_spacing, frame),
+                }
+            )
             self._scenes[key] = scene, time.perf_counter() - begun
         return self._scenes[key]
 
-    def _performer(self, bounds: str, lattice: float, frame: int) -> dict[str, Any]:
-        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame, "grid_spacing": lattice}
+    def _performer(self, bounds: str, spacing: float, frame: int) -> dict[str, Any]:
+        medium = {"type": "ndf", "run": str(self._run.path), "frame": frame, "grid_spacing": spacing}
         if bounds == "box":
             low, high = self._box(frame)
-            place = mi.ScalarTransform4f().translate((0.5 * (low + high)).tolist()).scale((0.5 * (high - low)).tolist())
+            place = (
+                mi.ScalarTransform4f()
+                .translate((0.5 * (low + high)).tolist())
+                .scale((0.5 * (high - low)).tolist())
+            )
             return {"type": "cube", "to_world": place, "bsdf": {"type": "null"}, "interior": medium}
         return {"type": "ndf_shell", "layers": LAYERS if bounds == "nested" else 0, "interior": medium}
 

@@ -1,4 +1,4 @@
-"""The points of the study: what is turned, one axis after another, and some of it together."""
+"""The points of the study: what is varied, one axis after the other, and a few combinations."""
 
 from __future__ import annotations
 
@@ -17,28 +17,34 @@ RENDERING = ("samples", "stratified", "termination", "evaluation", "precision", 
 PATHS = ("path",)
 TRAINED = ("band", "width", "encoding", "preset")
 AXES = (*RENDERING, *PATHS, *TRAINED)
-#: The variant that others of its kind are compared with: the run's own preset, trained as they are.
 OWN = "own"
+"""The variant that other trained fields are compared with: the run's own preset, trained as they are."""
 RUN = "run"
+"""The name of the run among the fields."""
 
 
 @dataclass(frozen=True)
 class PathSetting:
-    """How `volpath` draws a run.
+    """How `volpath` renders a run.
 
     Attributes:
         spp: paths a pixel, an even number.
-        bounds: `box` (the body's padded box), `shell` (the tight shell), or `nested` (shells with local majorants).
-        lattice: spacing in metres of the lattice that the field is put onto; 0 for the field itself.
+        bounds: `box` (the body's padded box), `shell` (the tight shell), or `nested` (shells with local
+            majorants).
+        grid_spacing: spacing in metres of the grid that the field is evaluated on; 0 for the field itself.
     """
 
     spp: int = 8
     bounds: str = "nested"
-    lattice: float = 0.0
+    grid_spacing: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON values; without a lattice, no word of it, as before there were any."""
-        return {key: value for key, value in dataclasses.asdict(self).items() if key != "lattice" or value > 0}
+        """JSON values; the grid's spacing only if there is a grid."""
+        return {
+            key: value
+            for key, value in dataclasses.asdict(self).items()
+            if key != "grid_spacing" or value > 0
+        }
 
 
 @dataclass(frozen=True)
@@ -46,11 +52,11 @@ class Point:
     """One point of the trade.
 
     Attributes:
-        key: its name, unique, and that of its folder.
-        axis: what is turned, one of `AXES`, or `usual` for the point that all are compared with.
-        label: for people.
-        setting: how it is drawn.
-        field: which field: `run`, or the key of a variant that the study trains.
+        key: its unique name, also that of its folder.
+        axis: what is varied, one of `AXES`, or `usual` for the point that all others are compared with.
+        label: its name for readers.
+        setting: how it is rendered.
+        field: `run`, or the key of a variant that the study trains.
     """
 
     key: str
@@ -61,7 +67,7 @@ class Point:
 
     @property
     def by_paths(self) -> bool:
-        """Whether it is path traced: another picture, of the field lit."""
+        """Whether it is path traced: such pictures show the field lit by the scene."""
         return isinstance(self.setting, PathSetting)
 
 
@@ -77,69 +83,140 @@ class Variant:
 
 
 def rendering_points(preset: Preset) -> list[Point]:
-    """What needs no training, of the axes `RENDERING` and `PATHS`; the first is what is usual."""
+    """The points that need no training, of the axes `RENDERING` and `PATHS`; the first is the usual setting."""
     usual = Setting()
     turned: list[tuple[str, str, str, dict[str, Any]]] = []
     turned += [("samples", f"samples-{n}", f"{n} samples", {"samples": n}) for n in (8, 16, 32, 64, 256, 512)]
-    turned += [("stratified", f"stratified-{n}", f"{n} samples, shifted at random", {"samples": n, "stratified": True})
-               for n in (16, 32, 128)]
-    turned += [("termination", f"cutoff-{c:g}", f"rays end at transmittance {c:g}" if c else "rays followed to their end", {"cutoff": c})
-               for c in (0.0, 1e-3, 1e-2, 1e-1)]
-    # What `auto` takes is what is usual; the other one is the point.
-    width = max((*preset.density_layers, *preset.colour_layers, *preset.colour_linear, *preset.deformation_layers))
+    turned += [
+        (
+            "stratified",
+            f"stratified-{n}",
+            f"{n} samples, shifted at random",
+            {"samples": n, "stratified": True},
+        )
+        for n in (16, 32, 128)
+    ]
+    turned += [
+        (
+            "termination",
+            f"cutoff-{c:g}",
+            f"rays end at transmittance {c:g}" if c else "every ray to its end",
+            {"cutoff": c},
+        )
+        for c in (0.0, 1e-3, 1e-2, 1e-1)
+    ]
+    # `auto` takes one of the two forms; the other one is the point.
+    width = max(
+        (*preset.density_layers, *preset.colour_layers, *preset.colour_linear, *preset.deformation_layers)
+    )
     other = "batched" if width <= variants.fused_width() else "fused"
-    forms = {"batched": ("evaluation", "networks as matrix products"), "fused": ("evaluation", "networks as cooperative vectors"),
-             "half": ("precision", "cooperative vectors in half precision")}
-    turned += [(forms[form][0], form, forms[form][1], {"networks": form}) for form in (other, "half") if form in networks_here()]
+    forms = {
+        "batched": ("evaluation", "networks as matrix products"),
+        "fused": ("evaluation", "networks as cooperative vectors"),
+        "half": ("precision", "cooperative vectors in half precision"),
+    }
+    turned += [
+        (forms[form][0], form, forms[form][1], {"networks": form})
+        for form in (other, "half")
+        if form in networks_here()
+    ]
     turned += [("rays", f"rays-{n}", f"{n} rays a pixel", {"spp": n}) for n in (2, 4, 8)]
-    turned += [("size", f"size-{s:g}", f"{s:g} of the width and height", {"size": s}) for s in (0.25, 0.5, 0.75)]
-    turned += [("together", f"samples-{n}-cutoff-0.01-size-{s:g}", f"{n} samples, to 0.01" + (f", {s:g} of the size" if s < 1 else ""),
-                {"samples": n, "cutoff": 1e-2, "size": s}) for s in (0.5, 1.0) for n in (16, 32, 64)]
+    turned += [
+        ("size", f"size-{s:g}", f"{s:g} of the width and height", {"size": s}) for s in (0.25, 0.5, 0.75)
+    ]
+    turned += [
+        (
+            "together",
+            f"samples-{n}-cutoff-0.01-size-{s:g}",
+            f"{n} samples, to 0.01" + (f", {s:g} of the size" if s < 1 else ""),
+            {"samples": n, "cutoff": 1e-2, "size": s},
+        )
+        for s in (0.5, 1.0)
+        for n in (16, 32, 64)
+    ]
     turned += [("together", "samples-32-rays-4", "32 samples, 4 rays a pixel", {"samples": 32, "spp": 4})]
     points = [Point("usual", "usual", f"as usual: {usual.samples} samples", usual)]
-    points += [Point(key, axis, label, dataclasses.replace(usual, **change)) for axis, key, label, change in turned]
+    points += [
+        Point(key, axis, label, dataclasses.replace(usual, **change)) for axis, key, label, change in turned
+    ]
     usual_path = PathSetting()
-    points += [Point(f"path-{n}", "path", f"{n} paths a pixel", PathSetting(n)) for n in (2, usual_path.spp, 32)]
-    points += [Point(f"path-{b}", "path", f"{usual_path.spp} paths a pixel, in the {'bounding box' if b == 'box' else 'shell'}",
-                     PathSetting(bounds=b)) for b in ("box", "shell")]
+    points += [
+        Point(f"path-{n}", "path", f"{n} paths a pixel", PathSetting(n)) for n in (2, usual_path.spp, 32)
+    ]
+    points += [
+        Point(
+            f"path-{b}",
+            "path",
+            f"{usual_path.spp} paths a pixel, in the {'bounding box' if b == 'box' else 'shell'}",
+            PathSetting(bounds=b),
+        )
+        for b in ("box", "shell")
+    ]
     if preset.direction_octaves < 0:
-        # A lattice holds one colour for all directions.
-        points += [Point(f"path-lattice-{1e3 * cell:g}-{n}", "path", f"{n} paths a pixel, on a lattice of {1e3 * cell:g} mm",
-                         PathSetting(n, lattice=cell))
-                   for cell, n in ((0.012, usual_path.spp), (0.006, usual_path.spp), (0.003, usual_path.spp), (0.003, 32), (0.003, 128))]
+        # A grid holds one colour for all directions.
+        points += [
+            Point(
+                f"path-grid-{1e3 * cell:g}-{n}",
+                "path",
+                f"{n} paths a pixel, on a grid of {1e3 * cell:g} mm",
+                PathSetting(n, grid_spacing=cell),
+            )
+            for cell, n in (
+                (0.012, usual_path.spp),
+                (0.006, usual_path.spp),
+                (0.003, usual_path.spp),
+                (0.003, 32),
+                (0.003, 128),
+            )
+        ]
     return points
 
 
 def variants_of(preset: Preset, options: TrainingOptions) -> list[Variant]:
-    """What is trained, of the axes `TRAINED`; the first is the run's own preset.
+    """The fields that the axes `TRAINED` need; the first has the run's own preset.
 
     Args:
         preset: the run's.
-        options: of every training; those of `paper` are the published ones for as many steps or seconds.
+        options: of every training; the preset `paper` is trained with the published options for as many steps
+            or seconds.
     """
+
     def variant(axis: str, key: str, label: str, **change: Any) -> Variant:
         return Variant(key, axis, label, dataclasses.replace(preset, **change), options)
 
-    found = [variant(OWN, OWN, f"{preset.name}, as it is")]
+    found = [variant(OWN, OWN, f"{preset.name}, unchanged")]
     for factor in (0.5, 2.0):
         band = preset.band * factor
         inside = min(preset.band_inside, band)
-        found.append(variant("band", f"band-{factor:g}", f"band of {100 * band:g} cm", band=band, band_inside=inside))
+        found.append(
+            variant("band", f"band-{factor:g}", f"band of {100 * band:g} cm", band=band, band_inside=inside)
+        )
     for factor in (0.5, 2.0):
-        layers: dict[str, Any] = {key: tuple(max(round(factor * w), 4) for w in getattr(preset, key))
-                  for key in ("density_layers", "colour_layers", "colour_linear", "deformation_layers")}
+        layers: dict[str, Any] = {
+            key: tuple(max(round(factor * w), 4) for w in getattr(preset, key))
+            for key in ("density_layers", "colour_layers", "colour_linear", "deformation_layers")
+        }
         widths = "–".join(map(str, dict.fromkeys((*layers["density_layers"], *layers["colour_layers"]))))
         found.append(variant("width", f"width-{factor:g}", f"layers of {widths}", **layers))
     if preset.encoding == "grid":
-        found.append(variant("encoding", "frequency", "frequencies in place of the grid", encoding="frequency"))
+        found.append(
+            variant("encoding", "frequency", "frequencies in place of the grid", encoding="frequency")
+        )
         coarse = max(preset.grid_finest // 4, preset.grid_base + 1)
-        found += [variant("encoding", f"grid-{n}", f"grid of up to {n} cells", grid_finest=n) for n in (coarse, 2 * preset.grid_finest)]
+        found += [
+            variant("encoding", f"grid-{n}", f"grid of up to {n} cells", grid_finest=n)
+            for n in (coarse, 2 * preset.grid_finest)
+        ]
     else:
         found.append(variant("encoding", "grid", "a hash grid in place of frequencies", encoding="grid"))
     for name, other in PRESETS.items():
         if name != preset.name:
             lit = options.integrator != QUADRATURE
             trained = TrainingOptions.paper() if name == "paper" and not lit else options
-            trained = dataclasses.replace(trained, steps=options.steps, seconds=options.seconds, seed=options.seed)
-            found.append(Variant(name, "preset", f"preset {name}", relightable(other)[0] if lit else other, trained))
+            trained = dataclasses.replace(
+                trained, steps=options.steps, seconds=options.seconds, seed=options.seed
+            )
+            found.append(
+                Variant(name, "preset", f"preset {name}", relightable(other)[0] if lit else other, trained)
+            )
     return found

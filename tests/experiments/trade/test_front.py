@@ -36,7 +36,8 @@ def test_the_knee_is_where_a_bent_line_bends():
     cost = np.exp(np.arange(10.0))
     quality = np.where(np.arange(10) < 4, 5.0 * np.arange(10), 15.0 + 0.1 * np.arange(10))
     assert knee(cost, quality) == 3
-    # The one of 1 − e^−5x over x from 0 to 1, from which its chord is taken, lies at x = ln(5 / (1 − e⁻⁵)) / 5.
+    # The one of 1 − e^−5x over x from 0 to 1, from which its chord is taken, lies at x = ln(5 / (1 − e⁻⁵)) /
+    # 5.
     x = np.linspace(0, 1, 1001)
     assert x[knee(np.exp(x), 1 - np.exp(-5 * x))] == pytest.approx(math.log(5 / (1 - math.exp(-5))) / 5, abs=1e-3)
 

@@ -1,4 +1,6 @@
-"""Drawing the study's points in its views, and what each picture is held against: the truth, and the same field at convergence."""
+"""Rendering a study's points in its views, and what each picture is compared with: the truth, and the same
+field converged.
+"""
 
 from __future__ import annotations
 
@@ -20,22 +22,22 @@ from ndf_mi.render.lights import lights
 from ndf_mi.render.settings import Setting, converged, field_digest
 from ndf_mi.run import Run
 
-#: Seed of path traced pictures whose errors are measured; that of the converged ones, and of those that are timed, is another.
+# Seeds of path-traced pictures; timed ones have others.
 _SEED, _CONVERGED_SEED = 1, 2
 
 
-class Drawing:
-    """Pictures of a study.
+class Renderings:
+    """The pictures of a study.
 
     Args:
-        capture: whose cameras and images.
+        capture: provides cameras and images.
         folder: where converged pictures are kept.
-        views: what errors are measured on; the first of them is what paths are traced in.
+        views: what errors are measured on; paths are traced in the first of them alone.
         timed: how many of them are timed.
-        path_size: longer side in pixels of path traced pictures.
+        path_size: longer side in pixels of path-traced pictures.
 
     Attributes:
-        fields: the runs by the keys that points name.
+        fields: the runs, by the names that points use.
     """
 
     def __init__(self, capture: Capture, folder: Path, views: list[View], timed: int, path_size: int) -> None:
@@ -43,8 +45,11 @@ class Drawing:
         self._capture = capture
         self._folder = folder
         self._views = views
-        # Spread over the views, which are sorted by split.
-        self._timed = [views[i] for i in dict.fromkeys(np.linspace(0, len(views) - 1, timed).round().astype(int).tolist())]
+        # Spread over the splits: views are sorted by split.
+        self._timed = [
+            views[i]
+            for i in dict.fromkeys(np.linspace(0, len(views) - 1, timed).round().astype(int).tolist())
+        ]
         self._path_size = path_size
         self._lights = {"sky": {"type": "constant"}} if capture.lighting is None else lights(capture.lighting)
         self._tracers: dict[str, PathTracer] = {}
@@ -59,24 +64,31 @@ class Drawing:
         return self._views[:1] if point.by_paths else self._timed
 
     def camera(self, point: Point, view: View) -> Camera:
-        """The camera whose pixels the picture has: the capture's, for paths on fewer pixels."""
+        """The camera of the picture: the capture's, with fewer pixels for paths."""
         camera = self._capture.cameras[view.camera]
         share = min(self._path_size / max(camera.w, camera.h), 1.0) if point.by_paths else 1.0
-        return camera if share == 1 else camera.scaled(max(round(share * camera.w), 1), max(round(share * camera.h), 1))
+        return (
+            camera
+            if share == 1
+            else camera.scaled(max(round(share * camera.w), 1), max(round(share * camera.h), 1))
+        )
 
     def draw(self, point: Point, view: View, seed: int = _SEED) -> np.ndarray:
-        """(h, w, 3) float32 sRGB in [0, 1]; `seed` is that of paths."""
+        """(h, w, 3) float32 sRGB in [0, 1]; the seed matters to paths only."""
         return self._draw(point.field, point.setting, view.frame, self.camera(point, view), seed)
 
     def loading(self, point: Point) -> float | None:
-        """Seconds that a frame's scene takes to make, for paths; None by quadrature."""
+        """Seconds that the scene of a frame takes to load, for paths; None for quadrature."""
         if not isinstance(point.setting, PathSetting):
             return None
         return self._tracer(point.field).loading(point.setting, self.views(point)[0].frame)
 
     def truth(self, point: Point, view: View) -> np.ndarray | None:
-        """The capture's image on the picture's pixels; None where the picture is not of that light: a field trained by quadrature holds
-        the capture's light in its colours and is lit twice by paths, one trained through scattering is not lit at all by quadrature."""
+        """The capture's image at the picture's size; None if the picture shows another light.
+
+        A field trained by quadrature holds the capture's light in its colours, so paths light it twice; one
+        trained through scattering holds albedos, which quadrature does not light.
+        """
         if self.scatters(self.fields[point.field]) != point.by_paths:
             return None
         camera = self.camera(point, view)
@@ -86,11 +98,18 @@ class Drawing:
         return np.asarray(resize(image, (camera.h, camera.w), order=1, anti_aliasing=True), dtype=np.float32)
 
     def converged(self, point: Point, view: View) -> np.ndarray:
-        """The same field drawn with many samples; kept on disk, for it takes longer than all the rest."""
+        """The same field rendered with many samples; kept on disk, because it takes longer than everything
+        else.
+        """
         target: Setting | PathSetting = (
-            converged(point.setting.spp) if isinstance(point.setting, Setting) else PathSetting(CONVERGED_SPP, "nested"))
+            converged(point.setting.spp)
+            if isinstance(point.setting, Setting)
+            else PathSetting(CONVERGED_SPP, "nested")
+        )
         camera = self.camera(point, view)
-        name = hashlib.sha256(f"{self.digest(point.field)} {target.to_dict()} {camera.w} {camera.h}".encode()).hexdigest()[:20]
+        name = hashlib.sha256(
+            f"{self.digest(point.field)} {target.to_dict()} {camera.w} {camera.h}".encode()
+        ).hexdigest()[:20]
         file = self._folder / name / Path(view.file).with_suffix(".npy")
         known = _read(file, (camera.h, camera.w, 3))
         if known is not None:
@@ -100,24 +119,33 @@ class Drawing:
             np.save(beside, picture, allow_pickle=False)
         return picture
 
-    def fingerprint(self, point: Point) -> str:
-        """SHA-256 (hex) over all that the figures of a point depend on."""
-        parts = [self.digest(point.field), self._capture.digest, point.setting.to_dict(), self.views(point),
-                 self._path_size * point.by_paths, converged().to_dict(), CONVERGED_SPP]
+    def cache_key(self, point: Point) -> str:
+        """SHA-256 (hex) over everything that the errors of a point depend on, except the code."""
+        parts = [
+            self.digest(point.field),
+            self._capture.digest,
+            point.setting.to_dict(),
+            self.views(point),
+            self._path_size * point.by_paths,
+            converged().to_dict(),
+            CONVERGED_SPP,
+        ]
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
     def digest(self, name: str) -> str:
-        """Of a field, by its key."""
+        """The digest of a field."""
         if name not in self._digests:
             self._digests[name] = field_digest(self.fields[name])
         return self._digests[name]
 
     @staticmethod
     def scatters(run: Run) -> bool:
-        """Whether a run was trained through scattering, so that its colours hold no light."""
+        """Whether a run was trained through scattering, so that its colours are albedos."""
         return _training(run).integrator != QUADRATURE
 
-    def _draw(self, name: str, setting: Setting | PathSetting, frame: int, camera: Camera, seed: int) -> np.ndarray:
+    def _draw(
+        self, name: str, setting: Setting | PathSetting, frame: int, camera: Camera, seed: int
+    ) -> np.ndarray:
         if isinstance(setting, Setting):
             return setting.picture(self.fields[name], frame, camera)
         return self._tracer(name).picture(setting, frame, camera, seed)
@@ -130,13 +158,17 @@ class Drawing:
 
 
 def _training(run: Run) -> TrainingOptions:
-    """The options that a run was trained with; the usual ones where it does not say."""
+    """The options that a run was trained with; the defaults if they are unknown."""
     known = run.config.get("training")
-    return TrainingOptions.from_dict(known, f"{run.path / 'config.json'}: training") if isinstance(known, dict) else TrainingOptions()
+    return (
+        TrainingOptions.from_dict(known, f"{run.path / 'config.json'}: training")
+        if isinstance(known, dict)
+        else TrainingOptions()
+    )
 
 
 def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:
-    """A picture kept before; None where there is none, or it is of no use."""
+    """A picture that was kept, or None if there is none or it does not fit."""
     try:
         picture = np.load(file, allow_pickle=False)
     except (OSError, ValueError, EOFError):

@@ -1,0 +1,75 @@
+"""How commands show the progress of an experiment on a terminal, or as lines in a log."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+
+from ndf_mi.experiments.core import Unit
+
+
+class ConsoleProgress:
+    """A bar for each group of units on a terminal; elsewhere, a line when something new begins. To be used as
+    a context manager.
+
+    Args:
+        stream: where to write.
+        bars: whether to show bars on a terminal; not for experiments whose trainings print progress of their
+            own.
+    """
+
+    def __init__(self, stream: TextIO, bars: bool = True) -> None:
+        self._console = Console(file=stream)
+        self._bars = bars and self._console.is_terminal
+        self._progress = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[details]}"),
+            TimeElapsedColumn(),
+            console=self._console,
+        )
+        self._tasks: dict[str, TaskID] = {}
+        self._begun: set[str] = set()
+
+    def __enter__(self) -> ConsoleProgress:
+        if self._bars:
+            self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bars:
+            self._progress.stop()
+
+    def training(self, label: str, seconds: float, budget: float | None, step: int, loss: float) -> None:
+        """Updates the bar of a training."""
+        if self._bars:
+            psnr = -10 * math.log10(max(loss, 1e-12))
+            self._progress.update(
+                self._task(label), total=budget, completed=seconds, details=f"step {step}  {psnr:.2f} dB"
+            )
+
+    def begin(self, unit: Unit[Any], number: int, of: int) -> None:
+        """Shows a new bar, or prints a line unless one of this label was printed."""
+        if self._bars:
+            self._progress.update(self._task(unit.group or unit.label), description=unit.label, total=of)
+        elif unit.label not in self._begun:
+            self._begun.add(unit.label)
+            self._console.print(
+                unit.label if of == 1 else f"{unit.label} ({number} of {of})", highlight=False, soft_wrap=True
+            )
+
+    def done(self, unit: Unit[Any], number: int, of: int) -> None:
+        """Updates the bar of a group."""
+        if self._bars:
+            self._progress.update(
+                self._task(unit.group or unit.label), total=of, completed=number, details=f"{number} of {of}"
+            )
+
+    def _task(self, name: str) -> TaskID:
+        if name not in self._tasks:
+            self._tasks[name] = self._progress.add_task(name, total=None, details="")
+        return self._tasks[name]
