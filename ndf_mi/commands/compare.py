@@ -79,10 +79,10 @@ class Compare:
 
     def run(self) -> None:
         """Compares, writes the report, prints the tables and the report's path."""
-        from ndf_mi.commands.compare_console import print_tables
         from ndf_mi.commands.progress import ConsoleProgress
         from ndf_mi.experiments.compare import Comparison, Settings
-        from ndf_mi.reports.compare import write_report
+        from ndf_mi.reports.compare import headline, notes, write_report
+        from ndf_mi.reports.tables import print_table
 
         folder = self.out or self.run_folder
         settings = Settings(
@@ -101,5 +101,5 @@ class Compare:
         with ConsoleProgress(sys.stderr) as progress:
             results = comparison.run(progress)
         write_report(folder / REPORT, results, comparison.capture, comparison.pictures)
-        print_tables(results)
+        print_table(headline(results, results.splits()), notes(results))
         print(f"\n{folder / REPORT}")

@@ -55,9 +55,9 @@ class Relight:
     def run(self) -> None:
         """Relights, writes the report, prints the tables and the report's path."""
         from ndf_mi.commands.progress import ConsoleProgress
-        from ndf_mi.commands.relight_console import print_relighting
         from ndf_mi.experiments.relight import Relighting, Settings
-        from ndf_mi.reports.relight import write_relight_report
+        from ndf_mi.reports.relight import notes, table, write_relight_report
+        from ndf_mi.reports.tables import print_table
 
         folder = self.out or self.run_folder / "relight"
         settings = Settings(self.spp, self.max_images, self.texture, self.grid_spacing, self.seed)
@@ -68,5 +68,5 @@ class Relight:
             relighting.run(progress)
         pictures = {light: relighting.pictures(light) for light in relighting.results}
         write_relight_report(folder / REPORT, relighting.results, relighting.captures, pictures)
-        print_relighting(relighting.results)
+        print_table(table(relighting.results), notes(relighting.results))
         print(f"\n{folder / REPORT}")

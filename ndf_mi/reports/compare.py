@@ -46,7 +46,7 @@ def write_report(path: str | os.PathLike[str], results: Results, capture: Captur
         protocol=page.protocol_sentence(about),
         cards=_cards(results),
         headline=headline(results, _held_out(results)),
-        notes=[*page.protocol_notes(about), *training.notes(results), *training.equal_time_notes(results)],
+        notes=[*notes(results), *training.equal_time_notes(results)],
         rows=picture_rows(results, capture, pictures),
         flicker=flicker_section(results, capture, pictures),
         times=training.times(results),
@@ -64,6 +64,11 @@ def headline(results: Results, splits: Sequence[str]) -> Table:
     """The figures that the protocol puts first, on these splits."""
     groups = [(SPLIT_LABELS[split].capitalize(), results, split) for split in splits]
     return tables.comparison(groups, results.about["protocol"]["headline"])
+
+
+def notes(results: Results) -> list[str]:
+    """Sentences on differences to the protocol and on training."""
+    return [*page.protocol_notes(results.about), *training.notes(results)]
 
 
 def _held_out(results: Results) -> list[str]:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import rich.console
 import rich.table
 
 from ndf_mi.experiments import metrics
@@ -105,6 +106,15 @@ def comparison(groups: Sequence[tuple[str, Results, str]], keys: Sequence[str], 
     headings = tuple((heading, len(keys)) for heading, _, _ in groups if heading)
     names = tuple(metrics.LABELS[key] for key, _ in columns)
     return Table(names, tuple(rows), headings, caption, corner="Method")
+
+
+def print_table(table: Table, notes: Sequence[str] = ()) -> None:
+    """Prints the groups of a table one below the other, then some sentences, on stdout."""
+    console = rich.console.Console()
+    for part in table.parts():
+        console.print(part.terminal())
+    for note in notes:
+        console.print(note, highlight=False, markup=False)
 
 
 def difference(first: float | None, second: float | None) -> float | None:

@@ -1,10 +1,8 @@
 """Tables and how figures are written."""
 
-import io
 import math
 
 import pytest
-from rich.console import Console
 
 from ndf_mi.experiments.records import Measured, MethodResult, Results, View
 from ndf_mi.reports import tables
@@ -29,11 +27,11 @@ def test_parts_are_the_groups(table):
     assert second.columns == ("z",) and second.rows[1].label == "c" and second.rows[1].difference
 
 
-def test_the_terminal_shows_all_of_it(table):
-    stream = io.StringIO()
-    Console(file=stream, width=80).print(table.terminal())
-    for text in ("What it shows", "Method", "x", "a|b", "5"):
-        assert text in stream.getvalue()
+def test_the_terminal_shows_all_of_it(table, capsys):
+    tables.print_table(table, ["A note on [brackets]."])
+    printed = capsys.readouterr().out
+    for text in ("First", "Method", "x", "z", "a|b", "5", "A note on [brackets]."):
+        assert text in printed
 
 
 def test_a_comparison_has_means_bests_and_differences():
