@@ -16,10 +16,10 @@ from ndf_mi import deprecated, variants
 variants.use()
 
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
-    # Each worker has its share of the cores: more threads than cores would wait for one another.
+    # Each worker has its share of the cores, and at least the two threads that Mitsuba's EXR files need.
     import drjit as dr  # after ndf_mi, which picks an LLVM that works
 
-    dr.set_thread_count(max((os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 1))
+    dr.set_thread_count(max((os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 2))
 
 pytest_plugins = ["sphere_capture", "lit_capture", "trained_run"]
 
