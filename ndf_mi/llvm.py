@@ -51,7 +51,7 @@ def folders() -> list[Path]:
 def candidates() -> Iterator[Path]:
     """Every file that looks like a shared library of LLVM, without links to the same file."""
     seen: set[Path] = set()
-    for path in (*_in_folders(folders()), *_in_loader_cache()):
+    for path in (*_in_folders(folders()), *in_loader_cache()):
         real = path.resolve()
         if real not in seen and real.is_file():
             seen.add(real)
@@ -188,7 +188,8 @@ def _in_folders(where: Sequence[Path]) -> Iterator[Path]:
             yield from sorted(folder.glob(pattern))
 
 
-def _in_loader_cache() -> Iterator[Path]:
+def in_loader_cache() -> Iterator[Path]:
+    """The libraries of LLVM in the cache of the system's loader (Linux)."""
     for tool in ("ldconfig", "/sbin/ldconfig"):
         try:
             done = subprocess.run([tool, "-p"], capture_output=True, text=True, timeout=10, check=True)

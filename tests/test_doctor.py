@@ -49,7 +49,7 @@ def test_missing_llvm(monkeypatch, no_probes, tmp_path):
     (tmp_path / "libLLVM-15.so.1").touch()
     monkeypatch.delenv(llvm.VARIABLE, raising=False)
     monkeypatch.setattr(llvm, "folders", lambda: [tmp_path])
-    monkeypatch.setattr(llvm, "_in_loader_cache", lambda: iter(()))
+    monkeypatch.setattr(llvm, "in_loader_cache", lambda: iter(()))
     monkeypatch.setattr(doctor, "probe", lambda variant: "not found")
     findings = by_name(doctor.examine())
     for name in ("LLVM", variants.LLVM):

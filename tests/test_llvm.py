@@ -21,7 +21,7 @@ sys.modules["ndf_mi.llvm"] = llvm
 spec.loader.exec_module(llvm)
 from pathlib import Path
 llvm.folders = lambda: [Path(sys.argv[2])]
-llvm._in_loader_cache = lambda: iter(())
+llvm.in_loader_cache = lambda: iter(())
 """
 
 needs_llvm = pytest.mark.skipif(llvm.find() is None, reason="no LLVM on this machine")
@@ -83,7 +83,7 @@ def test_newest_usable_wins(monkeypatch, tmp_path):
     for name in ("libLLVM-15.so.1", "libLLVM.so.17.0", "libLLVM.so.21.1", "libLLVM.so.9.0", "libLLVM.so.22.0"):
         (tmp_path / name).touch()
     monkeypatch.setattr(llvm, "folders", lambda: [tmp_path])
-    monkeypatch.setattr(llvm, "_in_loader_cache", lambda: iter(()))
+    monkeypatch.setattr(llvm, "in_loader_cache", lambda: iter(()))
     broken = {"libLLVM.so.22.0"}
     monkeypatch.setattr(
         llvm, "version_of", lambda path: None if Path(path).name in broken else llvm.version_in_name(path)

@@ -120,7 +120,7 @@ def test_what_is_there_is_not_overwritten_unasked(tiny: Path, tmp_path: Path) ->
     assert Capture.read(tiny).digest == digest
     (tmp_path / "letters.txt").write_text("dear")
     for overwrite in (False, True):
-        with pytest.raises(InputError, match=r"holds other things \(letters.txt\)"):
+        with pytest.raises(InputError, match=r"letters.txt.*new or empty"):
             synthesise(tmp_path, TINY, overwrite=overwrite)
     with pytest.raises(InputError, match="a file; expected a folder"):
         synthesise(tmp_path / "letters.txt", TINY)
@@ -137,6 +137,7 @@ def test_overwrite_replaces_a_capture_and_leaves_nothing_of_it(tiny: Path, tmp_p
     assert json.loads((other / "synthesis.json").read_text())["seed"] == 3
 
 
+@pytest.mark.long
 def test_another_light_changes_the_images_and_nothing_else(tiny: Path, tmp_path: Path) -> None:
     other = synthesise(tmp_path / "evening", TINY, light="evening")
     assert problems(other) == []
@@ -182,7 +183,7 @@ def test_clothes_stand_off_the_body_and_stay_out_of_it(performer: Performer, pos
             assert np.median(distance) > 0.015
             assert distance.max() < 0.08
             farthest = max(farthest, distance.max())
-            some = random.choice(len(vertices), 120, replace=False)
+            some = random.choice(len(vertices), 40, replace=False)
             assert (winding_number(vertices[some].astype(np.float64), naked.triangles) > 0.5).mean() <= 0.01
     assert farthest > 0.04
 
@@ -218,6 +219,7 @@ def test_wrinkles_are_smooth_in_the_pose(performer: Performer) -> None:
         assert np.abs(full - 2 * half).max() < 1e-5
 
 
+@pytest.mark.long
 def test_one_kernel_renders_every_camera_and_frame(performer: Performer, poses: Poses) -> None:
     cameras = list(camera_ring(3, 40, poses.vertices, 0).values())
     studio = Studio(performer.layers, 9)
@@ -239,7 +241,7 @@ def test_pixels_left_out_are_those_that_the_performer_does_not_touch(performer: 
     studio.pose(posed(performer, poses, 0))
     radiance, coverage = studio.render(camera, 1)
     sensor = mi.load_dict(camera.sensor(spp=256, sampler="multijitter"))
-    whole = np.array(mi.render(studio._scene, sensor=sensor, integrator=studio._integrator, seed=2))
+    whole = np.array(mi.render(studio.scene, sensor=sensor, integrator=studio.integrator, seed=2))
     assert np.abs(coverage - whole[..., 3]).max() < 0.15
     assert not (whole[..., 3][coverage == 0] > 0.02).any()
     np.testing.assert_allclose(radiance.mean(axis=(0, 1)), whole[..., :3].mean(axis=(0, 1)), rtol=0.01)
@@ -263,6 +265,7 @@ def test_one_pose_is_held_while_the_performer_turns_or_stands(kind: str) -> None
     assert np.ptp(poses.pose[3:5], axis=0).max() > 0.1
 
 
+@pytest.mark.long
 def test_tight_clothes_lie_on_the_body_and_do_not_fold_when_told_not_to(poses: Poses) -> None:
     body = load_anny()
     naked, faces = poses.vertices[0].astype(np.float64), body.faces.astype(np.int64)
@@ -278,6 +281,7 @@ def test_tight_clothes_lie_on_the_body_and_do_not_fold_when_told_not_to(poses: P
     assert np.quantile(distances["tight"], 0.95) < 0.0125 and np.median(distances["loose"]) > 0.015
 
 
+@pytest.mark.long
 def test_choices_are_part_of_what_a_capture_was_made_with_and_flat_light_shows_reflectance(tiny: Path, tmp_path: Path) -> None:
     one = replace(TINY, frames=2, view_frames=0, pose_frames=0, sequence_frames=0)
     look = Look("turn", "tight", False, "matte")
@@ -300,6 +304,7 @@ def test_choices_are_part_of_what_a_capture_was_made_with_and_flat_light_shows_r
         assert len(head) and np.abs(np.median(head, axis=0) - np.array([206, 152, 122]) / 255).max() < 0.06
 
 
+@pytest.mark.long
 def test_carried_light_turns_with_the_performer(tmp_path: Path) -> None:
     """A quarter of a turn on, a camera that turned along sees the same picture under carried light, and another under the studio's."""
     settings = replace(TINY, pixels=32, spp=256, cameras=4, train_cameras=4, frames=4, view_frames=0, pose_frames=0, pose_cameras=1,

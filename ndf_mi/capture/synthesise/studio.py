@@ -26,6 +26,9 @@ class Studio:
         layers: the surfaces; their faces, colours and materials do not change.
         spp: samples per pixel, rounded up to a number that Mitsuba's ``multijitter`` sampler can stratify.
         light: name of the light.
+
+    Attributes:
+        scene, integrator: Mitsuba's, as they render.
     """
 
     def __init__(self, layers: Sequence[Layer], spp: int, light: str = lighting.DEFAULT) -> None:
@@ -37,9 +40,9 @@ class Studio:
             name = f"layer{i}"
             scene[name] = _mesh(name, layer, self._light.flat)
             self._names.append(name)
-        self._scene = mi.load_dict(scene)
-        self._parameters = mi.traverse(self._scene)
-        self._integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH,
+        self.scene = mi.load_dict(scene)
+        self._parameters = mi.traverse(self.scene)
+        self.integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH,
                                          "hide_emitters": not self._light.flat})
         self._sampler = mi.load_dict({"type": "multijitter", "sample_count": spp})
         self._faces = [layer.faces for layer in layers]
@@ -77,7 +80,7 @@ class Studio:
         row = pixel // width
         position = mi.Point2f(mi.Float(pixel - row * width), mi.Float(row)) + self._sampler.next_2d()
         ray = mi.RayDifferential3f(camera.rays(position))
-        radiance, hit, _ = self._integrator.sample(self._scene, self._sampler, ray)
+        radiance, hit, _ = self.integrator.sample(self.scene, self._sampler, ray)
         channels = [radiance.x, radiance.y, radiance.z, dr.select(hit, mi.Float(1), 0)]
         # Evaluated together, since each block sum would launch the path tracer again.
         dr.eval(channels)

@@ -148,7 +148,7 @@ def test_the_command(write_zju, smpl_file, tmp_path: Path, capsys) -> None:
     assert "512 x 512" in capsys.readouterr().out
     assert main(["capture", "check", str(out)]) == 0
     assert main([*arguments, "--smpl", str(smpl)]) == 2
-    assert "something there already" in capsys.readouterr().err
+    assert "new or empty folder" in capsys.readouterr().err
     shutil.rmtree(out)
     assert main([*arguments, "--scale", "0.25"]) == 0  # the mesh alone
     capture = Capture.read(out)
@@ -219,7 +219,7 @@ class TestBadInput:
         ("poses", np.zeros((1, 156)), "156 numbers"),
         ("Rh", np.full((1, 3), np.nan), "not finite"),
         ("Th", np.zeros(4), "4 numbers"),
-        ("Th", np.array([[300.0, -200, 1000]]), "mm on the mean from"),
+        ("Th", np.array([[300.0, -200, 1000]]), "at most 20 mm"),
         ("shapes", None, "only poses, Rh, Th"),
         ("poses", [[0.0] * 72, [0.0]], "poses: found rows of unequal length"),
     ])  # fmt: skip
@@ -235,10 +235,10 @@ class TestBadInput:
         (lambda a: a["cams"].update(K=np.float64(1)), "cams"),
         (lambda a: a["cams"]["K"].__setitem__(0, [[1, 0, 0], [0, 1]]), "rows of unequal length"),
         (lambda a: a["cams"].update(T=[t / 1000 for t in a["cams"]["T"]]), "in metres"),
-        (lambda a: a["cams"]["R"].__setitem__(0, np.eye(3) * 2), "no rotation"),
+        (lambda a: a["cams"]["R"].__setitem__(0, np.eye(3) * 2), "a rotation from world to camera"),
         (lambda a: a["cams"]["K"].__setitem__(0, np.zeros((3, 3))), "focal lengths"),
         (lambda a: a["cams"]["D"].__setitem__(0, np.ones(8)), "8 coefficients"),
-        (lambda a: a["ims"].__delitem__(slice(400, None)), "400 frames; expected 500"),
+        (lambda a: a["ims"].__delitem__(slice(400, None)), "400 frames; expected at least 500"),
         (lambda a: a["ims"][3]["ims"].pop(), "18 images"),
         (lambda a: a["ims"][3]["ims"].__setitem__(0, "Camera_B1/first.jpg"), "the name first.jpg"),
         (lambda a: a["ims"][3]["ims"].__setitem__(0, "../000003.jpg"), "a path inside"),
@@ -286,7 +286,7 @@ class TestBadInput:
     @pytest.mark.parametrize(("options", "words"), [
         ({"frames": 0}, "--frames"),
         ({"frames": 7}, "a multiple of --frames"),
-        ({"train_cameras": ("Camera_X",)}, "found Camera_X; expected cameras of Camera_B1"),
+        ({"train_cameras": ("Camera_X",)}, "found Camera_X; expected .*Camera_B1"),
         ({"train_cameras": ("Camera_B1",), "test_cameras": ("Camera_B1",)}, "a training camera"),
     ])  # fmt: skip
     def test_selection(self, written, options: dict, words: str) -> None:
