@@ -159,18 +159,22 @@ class Animate:
         return {"run": str(run.path)} | {name: value for name, value in values.items() if value is not None}
 
     def _render(self, animation: Animation, folder: FrameFolder, frames: range, rate: float) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
         from ndf_mi.animate.video import write_video
-        from ndf_mi.commands.animate_console import FrameProgress
 
         missing = animation.missing(folder, frames)
-        with FrameProgress(sys.stderr) as progress:
-            try:
-                animation.write(folder, missing, progress.phase("rendering", len(missing), len(frames)))
-                paths = [folder.frame(frame) for frame in frames]
-                write_video(self.out, paths, rate, progress.phase("encoding", len(frames), len(frames)))
-            except KeyboardInterrupt:
-                progress.stop()
-                done = len(frames) - len(animation.missing(folder, frames))
-                print(f"stopped with {done} of {len(frames)} frames in {folder.path}; the same command "
-                      "continues")
-                raise
+        console, total = Console(file=sys.stderr), len(frames)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        try:
+            with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+                task = bar.add_task("rendering", total=total, completed=total - len(missing))
+                animation.write(folder, missing, lambda: bar.advance(task))
+                encoding = bar.add_task("encoding", total=total)
+                write_video(self.out, [folder.frame(frame) for frame in frames], rate,
+                            lambda: bar.advance(encoding))
+        except KeyboardInterrupt:
+            done = total - len(animation.missing(folder, frames))
+            print(f"stopped with {done} of {total} frames in {folder.path}; the same command continues")
+            raise

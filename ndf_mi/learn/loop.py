@@ -27,6 +27,7 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import check_integrator
 from ndf_mi.learn.trainer import STATE, Trainer
 from ndf_mi.run import Run
+from ndf_mi.training_log import FILE_NAME as LOG
 
 _LOG_EVERY = 50
 
@@ -90,10 +91,10 @@ def resume(path: str | os.PathLike[str], capture: Capture) -> Trainer:
     trainer = Trainer(run, capture, options)
     if (run.path / STATE).exists():
         trainer.restore()
-    elif (run.path / "metrics.jsonl").exists():
+    elif (run.path / LOG).exists():
         raise InputError(run.path / STATE, "no such file", "the training state to resume from",
                          "The run can be rendered but not trained further: start another.")
-    _truncate_log(run.path / "metrics.jsonl", trainer.progress.step)
+    _truncate_log(run.path / LOG, trainer.progress.step)
     return trainer
 
 
@@ -122,7 +123,7 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
     last_save = time.perf_counter()
     board = Board(folder, trainer.progress.step, quiet)
     try:
-        with _Signals() as signals, _Bar(trainer, quiet) as bar, open(folder / "metrics.jsonl", "a") as log:
+        with _Signals() as signals, _Bar(trainer, quiet) as bar, open(folder / LOG, "a") as log:
             while trainer.done < 1 and not signals.received:
                 taken = trainer.progress.step
                 try:
