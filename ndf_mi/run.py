@@ -50,12 +50,7 @@ class Run:
     """
 
     def __init__(
-        self,
-        path: str | os.PathLike[str],
-        config: dict[str, Any],
-        body: Body,
-        poses: Poses,
-        model: Model,
+        self, path: str | os.PathLike[str], config: dict[str, Any], body: Body, poses: Poses, model: Model,
         parameters: FieldParameters,
     ) -> None:
         self.path = Path(path)
@@ -184,10 +179,7 @@ class Run:
             parameters: used instead of the run's own; gradients flow to them.
         """
         return PosedModel(
-            self.model,
-            parameters or self.parameters,
-            self.surface(frame),
-            self.pose_vector(frame),
+            self.model, parameters or self.parameters, self.surface(frame), self.pose_vector(frame),
             networks=networks,
         )
 
@@ -247,8 +239,7 @@ def _read_parameters(path: Path, field: Field) -> FieldParameters:
         found = tensors[name]
         if found.shape != (size,) or found.dtype != np.float32:
             raise InputError(
-                f"{path}: {name}",
-                f"{found.dtype} of shape {found.shape}",
+                f"{path}: {name}", f"{found.dtype} of shape {found.shape}",
                 f"float32 of shape {(size,)}, as the preset has",
             )
         if not np.isfinite(found).all():

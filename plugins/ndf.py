@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -15,10 +13,10 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import FieldParameters
 from ndf_mi.model import PosedModel
 from ndf_mi.projection import PosedSurface
+from ndf_mi.render import properties
 from ndf_mi.render.nested import Majorants
 from ndf_mi.render.performers import NeuralField
 from ndf_mi.render.sparse_grid import SparseGrid
-from ndf_mi.run import Run
 
 _PARAMETERS = ("weights", "grid", "vertices", "pose")
 """The parameters that the medium exposes, in this order."""
@@ -36,35 +34,6 @@ _EXCEEDED = (
     "{excess}. Majorants were raised to hold there, but the estimate has missed fine structure: give the "
     "`ndf_shell` a smaller `cell`, or leave out `layers` for the majorant that holds by construction."
 )
-
-
-def find_run(path: str) -> Path:
-    """The folder of a run named in a scene: as given, or relative to the scene's own folder."""
-    if os.path.isdir(path):
-        return Path(path)
-    return Path(str(mi.file_resolver().resolve(path)))
-
-
-def frame_of(run: Run, props: mi.Properties) -> int:
-    """The frame that a plugin's properties name, by default the run's first."""
-    return int(props.get("frame", int(run.poses.frames[0])))
-
-
-def offset_of(run: Run, props: mi.Properties) -> np.ndarray:
-    """(3,) float32: how far a plugin's properties have moved the performer, in metres.
-
-    Raises:
-        InputError: it is not finite, or the run's networks take world coordinates, in which a moved performer
-            would be another.
-    """
-    offset = np.array(props.get("offset", mi.ScalarVector3f(0.0)), dtype=np.float32).reshape(-1)
-    if offset.size != 3 or not np.isfinite(offset).all():
-        raise InputError("ndf: offset", str(offset.tolist()), "three finite numbers, in metres")
-    if offset.any() and run.model.field.preset.coordinates == "world":
-        raise InputError(
-            "ndf: offset", str(offset.tolist()), f"none for {run.path}: its networks take world coordinates"
-        )
-    return offset
 
 
 def register() -> None:
@@ -135,17 +104,16 @@ def register() -> None:
             self.m_is_homogeneous = False
             self.m_has_spectral_extinction = False
             rename_parameter(props, "ndf", "lattice", "grid_spacing")
-            self.run = Run.shared(find_run(props["run"]))
-            self.frame = frame_of(self.run, props)
-            self.offset = offset_of(self.run, props)
+            self.run = properties.run(props)
+            self.frame = properties.frame(self.run, props)
+            self.offset = properties.offset(self.run, props)
             self.scale = float(props.get("scale", 1.0))
             if not 0 < self.scale < float("inf"):
                 raise InputError("ndf: scale", repr(self.scale), "a number above 0")
             self.grid_spacing = float(props.get("grid_spacing", 0.0))
             if not 0 <= self.grid_spacing < float("inf"):
                 raise InputError(
-                    "ndf: grid_spacing",
-                    repr(self.grid_spacing),
+                    "ndf: grid_spacing", repr(self.grid_spacing),
                     "a spacing above 0 in metres, or 0 for no grid",
                 )
             if self.grid_spacing > 0 and self.run.model.field.preset.direction_octaves >= 0:
@@ -282,10 +250,8 @@ def register() -> None:
             """(σ_s, σ_n, σ_t) in 1/m under a majorant, where σ_n = majorant − σ_t."""
             if self._seen is not self._model and self._differentiated():
                 raise InputError(
-                    "ndf: grid_spacing",
-                    "gradients of parameters",
-                    "none: what is sampled on a grid is detached",
-                    "Leave out `grid_spacing`.",
+                    "ndf: grid_spacing", "gradients of parameters",
+                    "none: what is sampled on a grid is detached", "Leave out `grid_spacing`.",
                 )
             if self._model.bound.half and self._model.bound.attached:
                 self._warn("stalling", _STALLING)
@@ -293,8 +259,7 @@ def register() -> None:
             extinction = sample.sigma * self.scale
             return (
                 mi.UnpolarizedSpectrum(extinction * sample.colour),
-                mi.UnpolarizedSpectrum(majorant - extinction),
-                mi.UnpolarizedSpectrum(extinction),
+                mi.UnpolarizedSpectrum(majorant - extinction), mi.UnpolarizedSpectrum(extinction),
             )
 
         def to_string(self) -> str:

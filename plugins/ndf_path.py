@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -11,8 +10,9 @@ import mitsuba as mi
 
 from ndf_mi.errors import InputError
 from ndf_mi.render import properties
+from ndf_mi.render.path_vertex import Origin, sample_vertex
 from ndf_mi.render.performers import FieldMedium, performers
-from ndf_mi.render.surfaces import next_surface, occluded
+from ndf_mi.render.surfaces import next_surface
 from ndf_mi.render.transport import Crossing, Performer, Transport
 
 PATHS_AT_ONCE = 1 << 18
@@ -22,49 +22,9 @@ CHANNELS = {"depth": "depth.T", "opacity": "opacity.A"}
 """What can be output besides radiance, and the names of its channels."""
 
 
-@dataclass
-class Origin:
-    """Where a ray was scattered: what weighting an emitter that it meets against sampling that emitter needs.
-
-    `point` the place, `pdf` (per solid angle) of the ray's direction, `delta` whether no other direction
-    could have been sampled.
-    """
-
-    point: mi.Interaction3f
-    pdf: mi.Float
-    delta: mi.Bool
-
-
-@dataclass
-class Vertex:
-    """What happens to N paths at the surfaces they met, or in the environment; detached.
-
-    Attributes:
-        emitted: radiance of the emitter met, weighted against sampling it from the origin of the ray.
-        lit: radiance of a sampled emitter that is scattered back along the path, so weighted too; 0 where a
-            surface is in between.
-        shadow: the segment to that emitter.
-        onward: the ray on which the path goes on, `weight` its throughput, `eta` the relative refractive
-            index crossed.
-        scattered: a surface was met, and not merely passed.
-        active: the path may go on.
-        origin: of the ray onward.
-    """
-
-    emitted: mi.Color3f
-    lit: mi.Color3f
-    shadow: mi.Ray3f
-    onward: mi.Ray3f
-    weight: mi.Color3f
-    eta: mi.Float
-    scattered: mi.Bool
-    active: mi.Bool
-    origin: Origin
-
-
 def register() -> None:
     """Defines and registers the plugin for the active variant."""
-    from mitsuba.ad.integrators.common import ADIntegrator, mis_weight
+    from mitsuba.ad.integrators.common import ADIntegrator
 
     class NDFPath(ADIntegrator):
         r"""
@@ -129,7 +89,7 @@ def register() -> None:
                 raise InputError(
                     "ndf_path: max_depth", str(depth), "a whole number above 0, or -1 for no limit"
                 )
-            # Both are Mitsuba's own to read, which takes any number.
+            # Mitsuba reads both itself, and accepts any number.
             properties.count(props, "ndf_path", "rr_depth", 5)
             super().__init__(props)
             self.stratified = bool(props.get("stratified", False))
@@ -140,13 +100,8 @@ def register() -> None:
             return [CHANNELS[name] for name in self.aovs]
 
         def sample(
-            self,
-            mode: dr.ADMode,
-            scene: mi.Scene,
-            sampler: mi.Sampler,
-            ray: mi.Ray3f,
-            active: mi.Bool = True,
-            **_: Any,
+            self, mode: dr.ADMode, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f,
+            active: mi.Bool = True, **_: Any,
         ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
             fields = performers(scene, "ndf_path")
             if mode != dr.ADMode.Primal:
@@ -157,11 +112,7 @@ def register() -> None:
             L = mi.Color3f(dr.zeros(mi.Float, width))
             β = mi.Color3f(dr.full(mi.Float, 1.0, width))
             η = dr.full(mi.Float, 1.0, width)
-            origin = Origin(
-                dr.zeros(mi.Interaction3f, width),
-                dr.full(mi.Float, 1.0, width),
-                dr.full(mi.Bool, True, width),
-            )
+            origin = Origin.camera(width)
             scattered = dr.full(mi.Bool, False, width)
             opacity, aovs = dr.zeros(mi.Float, width), [dr.zeros(mi.Float, width) for _ in self.aovs]
             # Literals would give the first segment kernels of its own.
@@ -180,12 +131,11 @@ def register() -> None:
                     if depth == 0:
                         opacity, aovs = 1.0 - crossing.transmittance, self._aov_values(crossing)
 
-                # What the surface emits, what it scatters of a sampled emitter's light, and where the path
-                # goes on.
+                # The surface: emission, scattered light of a sampled emitter, and the direction onward.
                 last = depth + 1 == self.max_depth
                 with dr.suspend_grad():
                     environment = scattered | (not self.hide_emitters)
-                    vertex = self._vertex(scene, sampler, ray, found, origin, active, environment, last)
+                    vertex = sample_vertex(scene, sampler, ray, found, origin, active, environment, last)
                     sampler.schedule_state()
                     dr.eval(vertex)
                 L += β * vertex.emitted
@@ -209,72 +159,13 @@ def register() -> None:
         def _cross(
             self, fields: list[Performer], ray: mi.Ray3f, active: mi.Bool, sampler: mi.Sampler, *others: Any
         ) -> Crossing | None:
-            """What the performers do along segments; None where there are none. Evaluates what is given,
-            `others` too."""
+            """Integrates the performers along segments; None without performers. Evaluates all arguments."""
             jitter = sampler.next_1d() if self.stratified else None
             if not fields:
                 return None
             sampler.schedule_state()
             dr.eval(ray, active, jitter, *others)
             return self.transport(fields, ray, active, jitter)
-
-        def _vertex(
-            self,
-            scene: mi.Scene,
-            sampler: mi.Sampler,
-            ray: mi.Ray3f,
-            found: mi.PreliminaryIntersection3f,
-            origin: Origin,
-            active: mi.Bool,
-            environment: mi.Bool,
-            last: bool,
-        ) -> Vertex:
-            """Emission met, an emitter sampled and the BSDF sampled, as in Mitsuba's `path`; `environment`
-            where that is to be seen."""
-            si = found.compute_surface_interaction(ray, +mi.RayFlags.All, active)
-
-            met = mi.DirectionSample3f(scene, si, origin.point)
-            pdf = scene.pdf_emitter_direction(origin.point, met, active & ~origin.delta)
-            emitted = met.emitter.eval(si, active & (origin.pdf > 0.0) & (environment | si.is_valid()))
-            emitted = mi.Color3f(emitted * dr.select(origin.delta, 1.0, mis_weight(origin.pdf, pdf)))
-
-            onward = active & si.is_valid() & (not last)
-            bsdf = si.bsdf(ray)
-            sampled = onward & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            ds, radiance = scene.sample_emitter_direction(si, sampler.next_2d(), False, sampled)
-            sampled &= ds.pdf != 0.0
-            value, pdf, bs, weight = bsdf.eval_pdf_sample(
-                mi.BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(), sampler.next_2d(), onward
-            )
-            lit = mi.Color3f(value * radiance * dr.select(ds.delta, 1.0, mis_weight(ds.pdf, pdf)))
-            sampled &= dr.any(lit != 0.0)
-            shadow = si.spawn_ray_to(ds.p)
-            lit = dr.select(sampled & ~occluded(scene, shadow, sampled), lit, 0.0)
-            # The place given for an emitter at infinity is behind all shapes, but a performer may reach
-            # beyond the shape that carries it.
-            shadow.maxt = dr.select(
-                mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite), dr.inf, shadow.maxt
-            )
-
-            point = dr.zeros(mi.Interaction3f, dr.width(ray.d))
-            point.t, point.time, point.wavelengths, point.p, point.n = (
-                si.t,
-                si.time,
-                si.wavelengths,
-                si.p,
-                si.n,
-            )
-            return Vertex(
-                emitted=emitted,
-                lit=lit,
-                shadow=shadow,
-                onward=si.spawn_ray(si.to_world(bs.wo)),
-                weight=mi.Color3f(weight),
-                eta=bs.eta,
-                scattered=active & si.is_valid() & ~mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null),
-                active=onward,
-                origin=Origin(point, bs.pdf, mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)),
-            )
 
         def _roulette(
             self, β: mi.Color3f, η: mi.Float, sampler: mi.Sampler, active: mi.Bool, depth: int
@@ -294,13 +185,8 @@ def register() -> None:
             return [values[name] for name in self.aovs]
 
         def render(
-            self,
-            scene: mi.Scene,
-            sensor: int | mi.Sensor = 0,
-            seed: int = 0,
-            spp: int = 0,
-            develop: bool = True,
-            evaluate: bool = True,
+            self, scene: mi.Scene, sensor: int | mi.Sensor = 0, seed: int = 0, spp: int = 0,
+            develop: bool = True, evaluate: bool = True,
         ) -> mi.TensorXf:
             """Renders in passes of some of the samples a pixel each."""
             if isinstance(sensor, int):

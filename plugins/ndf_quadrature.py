@@ -90,13 +90,8 @@ def register() -> None:
             return [channel for name in self.aovs for channel in CHANNELS[name]]
 
         def sample(
-            self,
-            mode: dr.ADMode,
-            scene: mi.Scene,
-            sampler: mi.Sampler,
-            ray: mi.Ray3f,
-            active: mi.Bool = True,
-            **_: Any,
+            self, mode: dr.ADMode, scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f,
+            active: mi.Bool = True, **_: Any,
         ) -> tuple[mi.Spectrum, mi.Bool, list[mi.Float], Any]:
             performer = _performer(scene)
             offset = sampler.next_1d() if self.stratified else None

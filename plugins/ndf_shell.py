@@ -6,10 +6,9 @@ import mitsuba as mi
 
 from ndf_mi.errors import InputError
 from ndf_mi.mitsuba_mesh import make_mesh
-from ndf_mi.plugins.ndf import find_run, frame_of, offset_of
+from ndf_mi.render import properties
 from ndf_mi.render.performers import FieldMedium
 from ndf_mi.render.shell import band_shell
-from ndf_mi.run import Run
 
 
 def make_shell(props: mi.Properties) -> mi.Object:
@@ -78,9 +77,7 @@ def make_shell(props: mi.Properties) -> mi.Object:
         raise InputError("ndf_shell: cell", repr(cell), "a length above 0, in metres")
     if "to_world" in props:
         raise InputError(
-            "ndf_shell: to_world",
-            "a transformation",
-            "none: the shell is where the performer is",
+            "ndf_shell: to_world", "a transformation", "none: the shell is where the performer is",
             "Move the performer by the medium's `offset`.",
         )
     if "flip_normals" in props:
@@ -89,8 +86,8 @@ def make_shell(props: mi.Properties) -> mi.Object:
     medium = props["interior"] if "interior" in props else None
     field = medium.neural_field if isinstance(medium, FieldMedium) else None
     if "run" in props:
-        run = Run.shared(find_run(props["run"]))
-        frame = frame_of(run, props)
+        run = properties.run(props)
+        frame = properties.frame(run, props)
     elif field is not None:
         run, frame = field.run, int(props.get("frame", field.frame))
     else:
@@ -99,13 +96,11 @@ def make_shell(props: mi.Properties) -> mi.Object:
         raise InputError("ndf_shell: interior", f"a medium of {field.run.path}, frame {field.frame}",
                          f"one of {run.path}, frame "
                          f"{frame}", "Leave out the shell's run and frame: it takes those of its medium.")
-    offset = offset_of(run, props) if field is None or "offset" in props else field.offset
+    offset = properties.offset(run, props) if field is None or "offset" in props else field.offset
     if field is not None and (offset != field.offset).any():
         raise InputError(
-            "ndf_shell: interior",
-            f"a medium with the offset {field.offset.tolist()}",
-            f"one with {offset.tolist()}",
-            "Leave out the shell's offset: it takes that of its medium.",
+            "ndf_shell: interior", f"a medium with the offset {field.offset.tolist()}",
+            f"one with {offset.tolist()}", "Leave out the shell's offset: it takes that of its medium.",
         )
     bsdf = _bsdf(props)
     if layers == 0:

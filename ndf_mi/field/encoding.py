@@ -47,13 +47,9 @@ class GridEncoding:
     def __init__(self, preset: Preset) -> None:
         growth = (preset.grid_finest / preset.grid_base) ** (1.0 / (preset.grid_levels - 1))
         self._encoding = nn.HashGridEncoding(
-            mi.Float,
-            preset.dimension,
-            n_levels=preset.grid_levels,
-            n_features_per_level=preset.grid_features,
-            hashmap_size=preset.grid_entries,
-            base_resolution=preset.grid_base,
-            per_level_scale=growth,
+            mi.Float, preset.dimension, n_levels=preset.grid_levels,
+            n_features_per_level=preset.grid_features, hashmap_size=preset.grid_entries,
+            base_resolution=preset.grid_base, per_level_scale=growth,
         )
         self._encoding.data = None
         self._scale = [1.0] * preset.dimension

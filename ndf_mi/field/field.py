@@ -186,11 +186,7 @@ class BoundField:
         return dr.grad_enabled(list(self._tensors.values()), self._grid)
 
     def _evaluate(
-        self,
-        run: Engine,
-        u: Sequence[mi.Float],
-        d: mi.Vector3f,
-        n: mi.Normal3f,
+        self, run: Engine, u: Sequence[mi.Float], d: mi.Vector3f, n: mi.Normal3f,
         active: mi.Bool | bool = True,
     ) -> tuple[mi.Float, mi.Color3f]:
         p = self.preset

@@ -27,10 +27,7 @@ class Occupancy:
     """
 
     def __init__(
-        self,
-        threshold: float,
-        resolution: tuple[int, int, int] = (128, 128, 24),
-        decay: float = 0.99,
+        self, threshold: float, resolution: tuple[int, int, int] = (128, 128, 24), decay: float = 0.99,
         explore: float = 0.125,
     ) -> None:
         self._threshold = threshold

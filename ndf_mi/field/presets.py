@@ -138,8 +138,7 @@ class Preset:
         for key in ("density_bias", "deformation_scale"):
             check(abs(getattr(self, key)) < float("inf"), key, "a number")
         check(
-            0 < self.band_inside <= self.band,
-            "band_inside",
+            0 < self.band_inside <= self.band, "band_inside",
             f"a number above 0, at most the band's {self.band}",
         )
         check(0 <= self.band_fade < 1, "band_fade", "a fraction in [0, 1)")
@@ -149,24 +148,21 @@ class Preset:
             widths = getattr(self, key)
             needed = key == "density_layers"
             check(
-                all(type(w) is int and w > 0 for w in widths) and bool(widths or not needed),
-                key,
+                all(type(w) is int and w > 0 for w in widths) and bool(widths or not needed), key,
                 "a list of widths above 0",
             )
         check(self.coordinates in ("texel", "surface", "world"), "coordinates", "texel, surface or world")
         check(self.distance in ("signed", "unsigned", "none"), "distance", "signed, unsigned or none")
         check(self.sample_factor >= 1, "sample_factor", "a whole number above 0")
         check(
-            len(self.colour_linear) != 1,
-            "colour_linear",
+            len(self.colour_linear) != 1, "colour_linear",
             "no layers, or at least two: the pose joins at the second",
         )
         for key in ("normal_octaves", "direction_octaves"):
             check(-1 <= getattr(self, key) <= 1024, key, "-1, or a whole number up to 1024")
         check(self.direction in ("view", "mirrored"), "direction", "view or mirrored")
         check(
-            self.direction == "view" or self.direction_octaves >= 0,
-            "direction",
+            self.direction == "view" or self.direction_octaves >= 0, "direction",
             "view, or direction_octaves from 0 on",
         )
         check(0 <= self.density_skip < len(self.density_layers), "density_skip",
@@ -176,14 +172,12 @@ class Preset:
         check(2 <= self.grid_levels <= 32, "grid_levels", "a whole number from 2 to 32")
         check(self.grid_features in (2, 4, 8), "grid_features", "2, 4 or 8")
         check(
-            self.grid_entries > 0 and self.grid_entries % self.grid_features == 0,
-            "grid_entries",
+            self.grid_entries > 0 and self.grid_entries % self.grid_features == 0, "grid_entries",
             "a multiple of grid_features",
         )
         check(self.grid_base >= 2, "grid_base", "a whole number above 1")
         check(
-            self.grid_finest > self.grid_base,
-            "grid_finest",
+            self.grid_finest > self.grid_base, "grid_finest",
             f"a whole number above grid_base, {self.grid_base}",
         )
 

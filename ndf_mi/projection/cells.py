@@ -90,13 +90,7 @@ class Cells:
         )
 
     def _begin(
-        self,
-        centre: mi.Point3f,
-        half: float,
-        band: float,
-        frame: Frame,
-        boxes: Boxes,
-        node: mi.UInt32,
+        self, centre: mi.Point3f, half: float, band: float, frame: Frame, boxes: Boxes, node: mi.UInt32,
         trail: mi.UInt32,
     ) -> tuple[mi.UInt32, mi.UInt32]:
         """Where searches from cubes begin; their centres and half their side are given in cells."""

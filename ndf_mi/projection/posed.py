@@ -133,11 +133,7 @@ class PosedSurface:
         return Projection(uv, l, triangle, weights, x - local.offset, mi.Normal3f(normal), valid)
 
     def _sign(
-        self,
-        triangle: mi.UInt32,
-        corner: list[mi.UInt32],
-        local: Local,
-        active: mi.Bool,
+        self, triangle: mi.UInt32, corner: list[mi.UInt32], local: Local, active: mi.Bool
     ) -> tuple[mi.Vector3f, mi.Float, mi.Vector3f]:
         """Pseudonormal, signed distance and its gradient (Bærentzen and Aanæs, "Signed distance computation
         using the angle weighted pseudonormal", 2005). Where rounding hides the direction to an edge or a

@@ -44,10 +44,7 @@ class Surface:
     """
 
     def __init__(
-        self,
-        faces: np.ndarray,
-        uv: np.ndarray | None,
-        uv_faces: np.ndarray | None,
+        self, faces: np.ndarray, uv: np.ndarray | None, uv_faces: np.ndarray | None,
         reference_vertices: np.ndarray,
     ) -> None:
         if uv is None or uv_faces is None:

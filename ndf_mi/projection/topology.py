@@ -44,8 +44,7 @@ def half_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     start, end = faces, np.roll(faces, -1, axis=1)
     low, high = (
-        np.minimum(start, end).ravel().astype(np.int64),
-        np.maximum(start, end).ravel().astype(np.int64),
+        np.minimum(start, end).ravel().astype(np.int64), np.maximum(start, end).ravel().astype(np.int64)
     )
     key = low * (int(faces.max()) + 1) + high
     order = np.argsort(key, kind="stable")

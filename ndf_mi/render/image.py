@@ -162,11 +162,7 @@ class ImageRenderer:
                     dr.repeat(_shift(index, ray), count * volume.sample_factor) if self.stratified else None
                 )
                 seen = quadrature(
-                    volume,
-                    rays,
-                    self.samples,
-                    jitter=jitter,
-                    window=(number * count, count),
+                    volume, rays, self.samples, jitter=jitter, window=(number * count, count),
                     geometry=geometry,
                 )
                 work.tiles += 1

@@ -110,9 +110,7 @@ def lets_light_in(bsdf: mi.BSDF) -> bool:
 def _expect_field(medium: mi.Medium, where: str) -> NeuralField:
     if not isinstance(medium, FieldMedium):
         raise InputError(
-            where,
-            f"a medium of the class {medium.class_name()}",
-            "no media but `ndf`",
+            where, f"a medium of the class {medium.class_name()}", "no media but `ndf`",
             "Only performers are integrated along rays: remove the medium, or render with `volpath`.",
         )
     return medium.neural_field

@@ -1,12 +1,16 @@
-"""Properties that several of the package's integrators read."""
+"""Properties that several of the package's plugins read."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection
+from pathlib import Path
 
 import mitsuba as mi
+import numpy as np
 
 from ndf_mi.errors import InputError
+from ndf_mi.run import Run
 
 
 def count(props: mi.Properties, plugin: str, name: str, default: int) -> int:
@@ -25,3 +29,37 @@ def aovs(props: mi.Properties, plugin: str, known: Collection[str]) -> list[str]
         if name not in known:
             raise InputError(f"{plugin}: aovs", repr(name), ", ".join(known))
     return names
+
+
+def run(props: mi.Properties) -> Run:
+    """The run that the property `run` names, shared with the other plugins of the scene."""
+    return Run.shared(_folder(props["run"]))
+
+
+def _folder(path: str) -> Path:
+    """The folder of a run named in a scene: as given, or relative to the scene's own folder."""
+    if os.path.isdir(path):
+        return Path(path)
+    return Path(str(mi.file_resolver().resolve(path)))
+
+
+def frame(run: Run, props: mi.Properties) -> int:
+    """The frame that a plugin's properties name, by default the run's first."""
+    return int(props.get("frame", int(run.poses.frames[0])))
+
+
+def offset(run: Run, props: mi.Properties) -> np.ndarray:
+    """(3,) float32: how far a plugin's properties have moved the performer, in metres.
+
+    Raises:
+        InputError: it is not finite, or the run's networks take world coordinates, in which a moved performer
+            would be another.
+    """
+    moved = np.array(props.get("offset", mi.ScalarVector3f(0.0)), dtype=np.float32).reshape(-1)
+    if moved.size != 3 or not np.isfinite(moved).all():
+        raise InputError("ndf: offset", str(moved.tolist()), "three finite numbers, in metres")
+    if moved.any() and run.model.field.preset.coordinates == "world":
+        raise InputError(
+            "ndf: offset", str(moved.tolist()), f"none for {run.path}: its networks take world coordinates"
+        )
+    return moved

@@ -42,14 +42,8 @@ class Radiance:
 
 
 def quadrature(
-    volume: VolumeField,
-    ray: mi.Ray3f,
-    samples: int,
-    *,
-    jitter: mi.Float | None = None,
-    window: tuple[int, int] | None = None,
-    scale: float = 1.0,
-    min_transmittance: float = 0.0,
+    volume: VolumeField, ray: mi.Ray3f, samples: int, *, jitter: mi.Float | None = None,
+    window: tuple[int, int] | None = None, scale: float = 1.0, min_transmittance: float = 0.0,
     geometry: bool = False,
 ) -> Radiance:
     """Renders `volume` along N rays (directions of unit length) with `samples` candidate samples each.

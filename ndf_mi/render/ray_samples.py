@@ -92,14 +92,8 @@ class Stratified:
 
 
 def sample_rays(
-    volume: VolumeField,
-    ray: mi.Ray3f,
-    samples: int,
-    *,
-    jitter: mi.Float | None = None,
-    window: tuple[int, int] | None = None,
-    active: mi.Bool | bool = True,
-    min_transmittance: float = 0.0,
+    volume: VolumeField, ray: mi.Ray3f, samples: int, *, jitter: mi.Float | None = None,
+    window: tuple[int, int] | None = None, active: mi.Bool | bool = True, min_transmittance: float = 0.0,
 ) -> Stratified:
     """Evaluates `volume` in equal strata of the rays' intervals in its box.
 

@@ -16,17 +16,9 @@ from ndf_mi.render.performers import FieldMedium, lets_light_in
 from ndf_mi.render.shell import band_points
 
 BLIND = (
-    "PathIntegrator",
-    "DirectIntegrator",
-    "PRBIntegrator",
-    "BasicPRBIntegrator",
-    "PathProjectiveIntegrator",
-    "DirectProjectiveIntegrator",
-    "EmissionProjectiveIntegrator",
-    "PTracerIntegrator",
-    "ParticleTracerIntegrator",
-    "DepthIntegrator",
-    "BasicVolumetricPrimitiveRadianceFieldIntegrator",
+    "PathIntegrator", "DirectIntegrator", "PRBIntegrator", "BasicPRBIntegrator", "PathProjectiveIntegrator",
+    "DirectProjectiveIntegrator", "EmissionProjectiveIntegrator", "PTracerIntegrator",
+    "ParticleTracerIntegrator", "DepthIntegrator", "BasicVolumetricPrimitiveRadianceFieldIntegrator",
 )
 """Integrators that know surfaces only: to them a shell, which has no surface of its own, does not exist."""
 

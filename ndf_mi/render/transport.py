@@ -107,10 +107,7 @@ class Transport:
     evaluated: int = 0
 
     def __call__(
-        self,
-        performers: Sequence[Performer],
-        ray: mi.Ray3f,
-        active: mi.Bool | bool = True,
+        self, performers: Sequence[Performer], ray: mi.Ray3f, active: mi.Bool | bool = True,
         jitter: mi.Float | None = None,
     ) -> Crossing:
         """Radiance and transmittance of the segments ``[0, ray.maxt]`` of N rays (evaluated; directions of
@@ -151,8 +148,7 @@ class Transport:
                 rows.append(self._tile(group, ray, index, real, jitter))
         if not rows:
             return Crossing(
-                mi.Color3f(dr.zeros(mi.Float, width)),
-                dr.full(mi.Float, 1.0, width),
+                mi.Color3f(dr.zeros(mi.Float, width)), dr.full(mi.Float, 1.0, width),
                 dr.zeros(mi.Float, width),
             )
         index, real = _join(indices), _join(reals)
@@ -162,11 +158,7 @@ class Transport:
         return Crossing(mi.Color3f(*colour), dr.exp(-tau), depth)
 
     def _tile(
-        self,
-        performers: list[Performer],
-        ray: mi.Ray3f,
-        index: mi.UInt32,
-        real: mi.Bool,
+        self, performers: list[Performer], ray: mi.Ray3f, index: mi.UInt32, real: mi.Bool,
         jitter: mi.Float | None,
     ) -> list[mi.Float]:
         """Optical depth, expected distance and the three colours of the chosen rays."""
