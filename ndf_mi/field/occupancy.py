@@ -16,8 +16,8 @@ class Occupancy:
     cell, over all poses (after Müller et al. 2022, who use world space).
 
     A random share p of the samples in empty cells is kept, so that a cell that becomes dense is noticed. Each
-    of these counts 1/p
-    times, for those that are skipped: optical depths keep their mean, and thin fog still fades.
+    of these counts 1/p times, for those that are skipped: optical depths keep their mean, and thin fog still
+    fades.
 
     Args:
         threshold: densities in 1/m below which a cell counts as empty.
@@ -40,9 +40,8 @@ class Occupancy:
         dr.make_opaque(self.values)
 
     def keep(self, u: mi.Point3f) -> tuple[mi.Bool, mi.Float]:
-        """Which points of the unit cube to evaluate, those in occupied cells and a random few of the others,
-        and how many points
-        each then stands for: 1 in occupied cells, 1 / `explore` in the others."""
+        """Which points of the unit cube to evaluate, those in occupied cells and a random few of the others, and
+        how many points each stands for: 1 in occupied cells, 1 / `explore` in the others."""
         with dr.suspend_grad():
             occupied = dr.gather(mi.Float, self.values, self._cell(u)) > self._threshold
             # The default of four rounds keeps 3 % too many of neighbouring numbers.

@@ -106,8 +106,7 @@ class ImageRenderer:
     ray to its end."""
     stratified: bool = False
     """Shift each ray's samples by a random fraction of their spacing, which depends on the pixel alone,
-    instead of taking the centres
-    of strata: noise instead of banding."""
+    instead of taking the centres of strata: noise instead of banding."""
 
     def __post_init__(self) -> None:
         for key in ("samples", "spp", "rounds"):
