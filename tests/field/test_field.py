@@ -95,7 +95,7 @@ def test_paper_agrees_with_float64(mode):
     np.testing.assert_allclose(colour.numpy(), expected_colour, atol=2e-5)
 
 
-@pytest.mark.parametrize("name", list(PRESETS))
+@pytest.mark.parametrize("name", ["fast", "tiny", pytest.param("paper", marks=pytest.mark.long)])
 def test_batched_and_fused_agree_in_value_and_gradient(name):
     u, d, pose = inputs()
     results = []
@@ -165,14 +165,16 @@ def with_pose_only_in(field, network):
     return parameters.replace(weights=mi.Float(weights))
 
 
-@pytest.mark.parametrize("mode", ["batched", "fused"])
+@pytest.mark.parametrize(("name", "mode"), [
+    *((name, "batched") for name in PRESETS), ("tiny", "fused"),
+    *(pytest.param(name, "fused", marks=pytest.mark.long) for name in ("fast", "paper")),
+])  # fmt: skip
 @pytest.mark.parametrize(("network", "density", "colour"), [
     ("density", True, True),  # the colour network is fed by the density's
     ("deform", True, True),
     (("linear", "colour"), False, True),
     ((), False, False),
 ])  # fmt: skip
-@pytest.mark.parametrize("name", list(PRESETS))
 def test_the_pose_reaches_density_deformation_and_colour(name, network, density, colour, mode):
     """Of every network on its own: with its columns of the pose alone, density and colour change with the pose where they should."""
     # The published deformation is a thousandth of the unit cube: made larger, it can be told from rounding.
