@@ -19,6 +19,7 @@ BY_NAME = {
 
 ELSEWHERE = {
     "ndf_mi.capture.viewpoint": "render/test_tuner.py",
+    "ndf_mi.experiments.relight": "experiments/test_relight.py",
     "ndf_mi.field.sample": "render/test_quadrature.py",
     "ndf_mi.render.output": "commands/test_render.py",
     "ndf_mi.render.properties": "plugins/test_plugins.py",
