@@ -12,7 +12,7 @@ from ndf_mi import llvm
 
 llvm.ensure_llvm()
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 
 def register() -> None:

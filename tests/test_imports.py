@@ -1,4 +1,4 @@
-"""What importing the package imports: parts that are not used must cost nothing at the start. Times are for benchmarks/import_time.py."""
+"""What `import ndf_mi` imports: nothing that only some work needs. benchmarks/import_time.py measures the time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-#: What only some of the work needs, by the name that Python imports it by.
+#: Packages that only some work needs, by the names of their modules.
 HEAVY = {"scipy", "skimage", "trimesh", "tyro", "rich", "matplotlib", "tensorboardX", "imageio", "imageio_ffmpeg", "PIL", "igl", "OpenEXR",
          "flip_evaluator"}
 
@@ -23,20 +23,19 @@ def bare() -> set[str]:
     return imported("import mitsuba", "import ndf_mi")
 
 
-def test_the_package_brings_little_beside_mitsuba(bare: set[str]) -> None:
+def test_the_package_imports_little_besides_mitsuba(bare: set[str]) -> None:
     own = {name for name in bare if name.partition(".")[0] == "ndf_mi"}
     assert own == {"ndf_mi", "ndf_mi.errors", "ndf_mi.llvm", "ndf_mi.variants"}
     others = {name.partition(".")[0].lstrip("_") for name in bare - own}
-    # ctypes and subprocess ask which LLVM there is; all that is left is what Python itself brings with them.
+    # ctypes and subprocess find LLVM; they import more of the standard library.
     assert others <= {name.lstrip("_") for name in sys.stdlib_module_names}
 
 
-def test_registering_the_plugins_brings_none_of_what_only_some_work_needs() -> None:
+def test_registering_the_plugins_imports_no_package_that_only_some_work_needs() -> None:
     from ndf_mi import variants
 
     found = imported("import mitsuba, ndf_mi", f"mitsuba.set_variant({variants.use()!r})")
     assert "ndf_mi.plugins.ndf" in found
     assert {name.partition(".")[0] for name in found} & HEAVY == set()
-    # Planning, learning and comparing are for those who plan, learn and compare.
-    assert not {name for name in found if name.split(".")[:2] in ([
-        "ndf_mi", part] for part in ("planning", "learn", "methods", "experiments", "reports", "capture", "commands", "animate"))}
+    unused = ("planning", "learn", "methods", "experiments", "reports", "capture", "commands", "animate")
+    assert not {name for name in found if name.split(".")[:2] in (["ndf_mi", part] for part in unused)}

@@ -1,4 +1,4 @@
-"""What an installation holds: every folder of the library, the plugins, the scenes, data and the typing marker."""
+"""What an installation contains: every folder of the library, plugins, scenes, data, the typing marker."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def test_every_plugin_module_is_listed():
     assert set(ndf_mi.plugins.MODULES) == plugins
 
 
-def test_data_are_beside_the_code():
+def test_data_lie_next_to_the_code():
     assert (files("ndf_mi") / "py.typed").is_file()
     assert any(file.name.endswith(".bvh") for file in (files("ndf_mi.body") / "data").iterdir())
 
 
-def test_version_is_one():
+def test_there_is_one_version():
     assert importlib.metadata.version("ndf-mi") == ndf_mi.__version__
