@@ -78,12 +78,7 @@ class Ablate:
         )
         settings = Evaluation(self.max_images, self.sequence, self.samples, self.seed, self.protocol)
         study = AblationStudy(
-            self.capture,
-            self.out,
-            self.only or ABLATION_NAMES,
-            preset,
-            options,
-            settings,
+            self.capture, self.out, self.only or ABLATION_NAMES, preset, options, settings,
             command_line("ablate", self),
         )
         with ConsoleProgress(sys.stderr, bars=False) as progress:

@@ -29,8 +29,7 @@ class Compare:
         ReplacedOption(
             "--offsets",
             {
-                "all": (),
-                "equal-time": ("--methods", "ndf,mesh,offset-mesh@equal-time"),
+                "all": (), "equal-time": ("--methods", "ndf,mesh,offset-mesh@equal-time"),
                 "none": ("--methods", "ndf,mesh"),
             },
             "--methods",
@@ -86,14 +85,8 @@ class Compare:
 
         folder = self.out or self.run_folder
         settings = Settings(
-            self.max_images,
-            self.sequence,
-            self.samples,
-            self.seed,
-            self.protocol,
-            tuple(self.methods.split(",")),
-            self.mesh_seconds,
-            self.texture,
+            self.max_images, self.sequence, self.samples, self.seed, self.protocol,
+            tuple(self.methods.split(",")), self.mesh_seconds, self.texture,
         )
         comparison = Comparison(
             self.run_folder, self.capture, folder, settings, command_line("compare", self)

@@ -8,10 +8,11 @@ from typing import Any, TextIO
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
+from ndf_mi.experiments import core
 from ndf_mi.experiments.core import Unit
 
 
-class ConsoleProgress:
+class ConsoleProgress(core.Progress):
     """A bar for each group of units on a terminal; elsewhere, a line when something new begins. To be used as
     a context manager.
 
@@ -25,12 +26,8 @@ class ConsoleProgress:
         self._console = Console(file=stream)
         self._bars = bars and self._console.is_terminal
         self._progress = Progress(
-            SpinnerColumn(),
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.fields[details]}"),
-            TimeElapsedColumn(),
-            console=self._console,
+            SpinnerColumn(), TextColumn("{task.description}"), BarColumn(),
+            TextColumn("{task.fields[details]}"), TimeElapsedColumn(), console=self._console,
         )
         self._tasks: dict[str, TaskID] = {}
         self._begun: set[str] = set()

@@ -71,13 +71,7 @@ class Tradeoff:
         from ndf_mi.reports.tradeoff import markdown, write_trade_report
 
         settings = Settings(
-            self.only,
-            self.steps,
-            self.seconds,
-            self.views,
-            self.timed,
-            self.repeats,
-            self.path_size,
+            self.only, self.steps, self.seconds, self.views, self.timed, self.repeats, self.path_size,
             self.seed,
         )
         study = TradeStudy(self.run_folder, self.capture, self.out, settings, command_line("tradeoff", self))

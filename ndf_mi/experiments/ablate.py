@@ -12,7 +12,7 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import protocols
 from ndf_mi.experiments.compare import extents
-from ndf_mi.experiments.core import Progress, Silent, run_units
+from ndf_mi.experiments.core import SILENT, Progress, run_units
 from ndf_mi.experiments.evaluate import ImageSet, already_measured, measure
 from ndf_mi.experiments.records import MethodResult, Results
 from ndf_mi.experiments.settings import Evaluation
@@ -49,14 +49,8 @@ class AblationStudy:
     """
 
     def __init__(
-        self,
-        capture: str | os.PathLike[str],
-        folder: str | os.PathLike[str],
-        names: Sequence[str],
-        preset: Preset,
-        options: TrainingOptions,
-        settings: Evaluation,
-        command: str,
+        self, capture: str | os.PathLike[str], folder: str | os.PathLike[str], names: Sequence[str],
+        preset: Preset, options: TrainingOptions, settings: Evaluation, command: str,
     ) -> None:
         self.folder = Path(folder)
         self.pictures = self.folder / PICTURES
@@ -74,13 +68,12 @@ class AblationStudy:
             self._about(command), [row for name in ABLATIONS if (row := self._earlier(name)) is not None]
         )
 
-    def run(self, progress: Progress | None = None) -> Results:
+    def run(self, progress: Progress = SILENT) -> Results:
         """Trains and measures what is missing or stale, one variant after the other.
 
         Raises:
             KeyboardInterrupt: stopped by a signal; the same study continues where it stopped.
         """
-        progress = progress or Silent()
         self._store.about, self._store.summary = self.results.about, self.results.summary
         for name in self.names:
             unit = training_unit(
@@ -88,12 +81,7 @@ class AblationStudy:
             )
             run_units([unit], self._store, progress)
             row = measure(
-                name,
-                ablation(name).title,
-                self._method(name),
-                self._images,
-                self.pictures,
-                self._store,
+                name, ablation(name).title, self._method(name), self._images, self.pictures, self._store,
                 progress,
             )
             rows = [*(other for other in self.results.methods if other.key != name), row]

@@ -12,7 +12,7 @@ from ndf_mi import machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import protocols
-from ndf_mi.experiments.core import Progress, Silent, run_units
+from ndf_mi.experiments.core import SILENT, Progress, run_units
 from ndf_mi.experiments.evaluate import ImageSet, measure
 from ndf_mi.experiments.fit import fit_unit
 from ndf_mi.experiments.records import Results
@@ -81,12 +81,8 @@ class Comparison:
     """
 
     def __init__(
-        self,
-        run: str | os.PathLike[str],
-        capture: str | os.PathLike[str],
-        folder: str | os.PathLike[str],
-        settings: Settings,
-        command: str,
+        self, run: str | os.PathLike[str], capture: str | os.PathLike[str], folder: str | os.PathLike[str],
+        settings: Settings, command: str,
     ) -> None:
         self._work = Path(folder) / WORK
         self.pictures = self._work / PICTURES
@@ -103,9 +99,8 @@ class Comparison:
         self.results = Results(self._about(command))
         self._tuned: dict[str, Any] = {}
 
-    def run(self, progress: Progress | None = None) -> Results:
+    def run(self, progress: Progress = SILENT) -> Results:
         """Trains and measures what is missing or stale; `compare.json` is written after each piece of work."""
-        progress = progress or Silent()
         self._store.about, self._store.summary = self.results.about, self.results.summary
         chosen = [one for spec in self._specs for one in self._ready(spec, progress)]
         self.results.methods = []
@@ -148,14 +143,8 @@ class Comparison:
         label = f"{method.label}, {_ENDS[end]}"
         budget = Budget(None if end == CONVERGED else self._budget(name), self.settings.seed)
         unit, ready = fit_unit(
-            name,
-            f"train {label}",
-            method,
-            entry(key).accepted(self._options),
-            self.capture,
-            budget,
-            self._work / name,
-            progress,
+            name, f"train {label}", method, entry(key).accepted(self._options), self.capture, budget,
+            self._work / name, progress,
         )
         run_units([unit], self._store, progress)
         # The same search would find the same values for other trainings.
@@ -195,8 +184,7 @@ class Comparison:
         seconds = self.settings.mesh_seconds or (self._run.config.get("trained") or {}).get("seconds") or 0.0
         if trained and not seconds:
             raise InputError(
-                f"{self._run.path / 'config.json'}: trained",
-                "no training time",
+                f"{self._run.path / 'config.json'}: trained", "no training time",
                 "the seconds that `ndf-mi optimise` writes when it ends",
                 "Give the training time of the other methods: --mesh-seconds 600",
             )
@@ -207,9 +195,7 @@ class Comparison:
         return {
             "run": str(self._run.path),
             "capture": {
-                "name": self.capture.name,
-                "path": str(self.capture.path),
-                "digest": self.capture.digest,
+                "name": self.capture.name, "path": str(self.capture.path), "digest": self.capture.digest,
                 **extents(self.capture),
             },
             "measured": self._images.counts(),

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from msgspec import Struct
 
@@ -47,37 +47,24 @@ class Unit(Generic[R]):
     group: str = ""
 
 
-class Progress(Protocol):
-    """Receives progress reports."""
+class Progress:
+    """Receives progress reports; this one ignores them."""
 
     def training(self, label: str, seconds: float, budget: float | None, step: int, loss: float) -> None:
         """A step of the training that a unit with this label does: seconds and steps so far, the time that it
         was given, if any, and the step's mean squared error in sRGB."""
-        ...
 
     def begin(self, unit: Unit[Any], number: int, of: int) -> None:
         """A unit begins: the `number`-th of the `of` units of its group."""
-        ...
 
     def done(self, unit: Unit[Any], number: int, of: int) -> None:
         """The record of a unit is stored."""
-        ...
 
 
-class Silent:
-    """Progress that nobody watches."""
-
-    def training(self, label: str, seconds: float, budget: float | None, step: int, loss: float) -> None:
-        """Ignores it."""
-
-    def begin(self, unit: Unit[Any], number: int, of: int) -> None:
-        """Ignores it."""
-
-    def done(self, unit: Unit[Any], number: int, of: int) -> None:
-        """Ignores it."""
+SILENT = Progress()
 
 
-def run_units(units: Iterable[Unit[R]], store: Store, progress: Progress | None = None) -> list[R]:
+def run_units(units: Iterable[Unit[R]], store: Store, progress: Progress = SILENT) -> list[R]:
     """Does the units whose records are missing or stale.
 
     Args:
@@ -92,7 +79,7 @@ def run_units(units: Iterable[Unit[R]], store: Store, progress: Progress | None 
         ValueError: two units have the same key.
         KeyboardInterrupt: stopped by the user; the next call does the rest.
     """
-    units, progress = list(units), progress or Silent()
+    units = list(units)
     if len({unit.key for unit in units}) < len(units):
         raise ValueError(f"units with the same key: {sorted(unit.key for unit in units)}")
     groups = [unit.group or unit.label for unit in units]

@@ -26,9 +26,7 @@ from ndf_mi.methods.base import Renderer
 
 SPLITS = ("novel_view", "novel_pose", "sequence", "train")
 LABELS = {
-    "novel_view": "novel views",
-    "novel_pose": "novel poses",
-    "sequence": "successive frames",
+    "novel_view": "novel views", "novel_pose": "novel poses", "sequence": "successive frames",
     "train": "training views",
 }
 TRAINING_IMAGES = 4
@@ -141,11 +139,8 @@ def flicker_units(
     def unit(sequence: FrameSequence) -> Unit[Flicker]:
         inputs = {**_inputs(method, images), **structs.asdict(sequence)}
         return Unit(
-            f"{name}/flicker/{sequence.split}",
-            inputs,
-            lambda: measure_flicker(images.capture, sequence, pictures),
-            Flicker,
-            (),
+            f"{name}/flicker/{sequence.split}", inputs,
+            lambda: measure_flicker(images.capture, sequence, pictures), Flicker, (),
             f"compare frames of {label}",
         )
 
@@ -153,12 +148,7 @@ def flicker_units(
 
 
 def measure(
-    name: str,
-    label: str,
-    method: Renderer,
-    images: ImageSet,
-    pictures: Path,
-    store: Store,
+    name: str, label: str, method: Renderer, images: ImageSet, pictures: Path, store: Store,
     progress: Progress,
 ) -> MethodResult:
     """Measures what is missing or stale of one method.
@@ -189,11 +179,7 @@ def already_measured(
 
 
 def _result(
-    name: str,
-    label: str,
-    method: Renderer,
-    images: ImageSet,
-    measured: list[Measured],
+    name: str, label: str, method: Renderer, images: ImageSet, measured: list[Measured],
     flicker: list[Flicker],
 ) -> MethodResult:
     # Whether an image counts in the means depends on what is asked for now.

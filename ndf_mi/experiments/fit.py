@@ -15,14 +15,8 @@ M = TypeVar("M", bound=Trainable)
 
 
 def fit_unit(
-    name: str,
-    label: str,
-    method: M,
-    options: Mapping[str, Any],
-    capture: Capture,
-    budget: Budget,
-    folder: Path,
-    progress: Progress,
+    name: str, label: str, method: M, options: Mapping[str, Any], capture: Capture, budget: Budget,
+    folder: Path, progress: Progress,
 ) -> tuple[Unit[Trained], Callable[[], M]]:
     """A unit that trains a method and saves it.
 
@@ -43,8 +37,7 @@ def fit_unit(
 
     def work() -> Trained:
         method.fit(
-            capture,
-            budget,
+            capture, budget,
             lambda seconds, step, loss: progress.training(label, seconds, budget.seconds, step, loss),
         )
         method.save(folder)
@@ -58,10 +51,7 @@ def fit_unit(
         return method
 
     inputs = {
-        "capture": capture.digest,
-        "method": method.key,
-        "options": dict(options),
-        "seed": budget.seed,
+        "capture": capture.digest, "method": method.key, "options": dict(options), "seed": budget.seed,
         "budget": budget.seconds,
     }
     return Unit(f"{name}/train", inputs, work, Trained, (folder,), label), trained

@@ -20,13 +20,9 @@ SSIM_WINDOW = 7
 TEMPORAL = "box_tpsnr"
 """The key of temporal PSNR, which is defined for a sequence; all other metrics are defined for an image."""
 LABELS = {
-    "box_psnr": "Box PSNR (dB)",
-    "box_ssim": "Box SSIM, data_range 1",
-    "box_ssim_range2": "Box SSIM, data_range 2",
-    "box_flip": "Box FLIP",
-    TEMPORAL: "Box tPSNR (dB)",
-    "psnr": "Whole-image PSNR (dB)",
-    "ssim": "Whole-image SSIM, data_range 1",
+    "box_psnr": "Box PSNR (dB)", "box_ssim": "Box SSIM, data_range 1",
+    "box_ssim_range2": "Box SSIM, data_range 2", "box_flip": "Box FLIP", TEMPORAL: "Box tPSNR (dB)",
+    "psnr": "Whole-image PSNR (dB)", "ssim": "Whole-image SSIM, data_range 1",
 }
 IMAGE_METRICS = tuple(name for name in LABELS if name != TEMPORAL)
 HIGHER_IS_BETTER = {name: name != "box_flip" for name in LABELS}
@@ -148,8 +144,7 @@ def measure(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> dict[str,
         "box_ssim": box_ssim(truth, image, mask) if fits else None,
         "box_ssim_range2": box_ssim(truth, image, mask, data_range=2.0) if fits else None,
         "box_flip": float(flip_map(truth, image)[rectangle].mean()) if rectangle is not None else None,
-        "psnr": psnr(truth, image),
-        "ssim": ssim(truth, image) if whole_fits else None,
+        "psnr": psnr(truth, image), "ssim": ssim(truth, image) if whole_fits else None,
     }
 
 

@@ -77,8 +77,7 @@ def _frames(capture: Capture, whose: str, train: int, novel_pose: int, every: in
     if have != train:
         notes.append(f"Training uses {have} of the {train} training frames of {whose}.")
     for name, label, whole in (
-        ("novel_view", "novel views", train),
-        ("novel_pose", "novel poses", novel_pose),
+        ("novel_view", "novel views", train), ("novel_pose", "novel poses", novel_pose),
     ):
         frames = capture.splits[name].every(every)
         wanted = len(range(0, whole, every))

@@ -138,51 +138,33 @@ class Protocol:
     ) -> dict[str, Any]:
         """JSON values that describe the protocol in results and reports; arguments as of `notes`."""
         return {
-            "name": self.name,
-            "description": self.description,
-            "headline": list(self.headline),
+            "name": self.name, "description": self.description, "headline": list(self.headline),
             "notes": self.notes(training, capture, max_images),
         }
 
     def _lacks(self, capture: Capture, key: str, found: str, expected: str) -> InputError:
         where = f"{capture.path / 'capture.json'}: splits.{key}"
         return InputError(
-            where,
-            found,
-            f"{expected}, for protocol {self.name}",
+            where, found, f"{expected}, for protocol {self.name}",
             "`--protocol default` measures any capture.",
         )
 
 
 DEFAULT = Protocol(
-    "default",
-    "Images of the held-out splits, chosen at random where there are more than asked for.",
-    max_images=48,
-    headline=("box_psnr", "box_ssim", "box_flip", "box_tpsnr"),
+    "default", "Images of the held-out splits, chosen at random where there are more than asked for.",
+    max_images=48, headline=("box_psnr", "box_ssim", "box_flip", "box_tpsnr"),
 )
 ZJU = Protocol(
     "zju",
     "ZJU-MoCap as in Neural Body and NDF: four training cameras, all others tested, every 30th frame of each split.",
-    every=30,
-    train_cameras=4,
-    test_cameras=17,
-    train_frames=60,
-    measured_frames=(("novel_view", 2), ("novel_pose", 7)),
-    edge_kernels=(3, 5),
-    black=True,
-    layout="zju",
+    every=30, train_cameras=4, test_cameras=17, train_frames=60,
+    measured_frames=(("novel_view", 2), ("novel_pose", 7)), edge_kernels=(3, 5), black=True, layout="zju",
 )
 DYNACAP = Protocol(
     "dynacap",
     "DynaCap as in NDF: trained on 1,000 frames of ten cameras; tested on five others, in these and the next 1,000 frames, every 30th.",
-    every=30,
-    train_cameras=10,
-    test_cameras=5,
-    train_frames=1000,
-    measured_frames=(("novel_view", 34), ("novel_pose", 34)),
-    edge_kernels=(3,),
-    black=True,
-    layout="dynacap",
+    every=30, train_cameras=10, test_cameras=5, train_frames=1000,
+    measured_frames=(("novel_view", 34), ("novel_pose", 34)), edge_kernels=(3,), black=True, layout="dynacap",
 )
 PROTOCOLS = {protocol.name: protocol for protocol in (DEFAULT, ZJU, DYNACAP)}
 _OLD_NAMES = {"ours": "default"}

@@ -128,12 +128,8 @@ class MethodResult(Struct):
         """
         means = {split: {key: self.mean(split, key) for key in metrics.LABELS} for split in splits}
         return {
-            "key": self.key,
-            "label": self.label,
-            "cache_key": self.cache_key,
-            "metadata": self.metadata,
-            "seconds_an_image": self.seconds_an_image(),
-            "means": means,
+            "key": self.key, "label": self.label, "cache_key": self.cache_key, "metadata": self.metadata,
+            "seconds_an_image": self.seconds_an_image(), "means": means,
         }
 
 

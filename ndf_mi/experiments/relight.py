@@ -14,7 +14,7 @@ import numpy as np
 from ndf_mi import machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
-from ndf_mi.experiments.core import Progress, Silent, run_units
+from ndf_mi.experiments.core import SILENT, Progress, run_units
 from ndf_mi.experiments.evaluate import ImageSet, choose_views, measure
 from ndf_mi.experiments.fit import fit_unit
 from ndf_mi.experiments.records import Results
@@ -75,13 +75,8 @@ class Relighting:
     """
 
     def __init__(
-        self,
-        run: str | os.PathLike[str],
-        capture: str | os.PathLike[str],
-        under: str | os.PathLike[str],
-        folder: str | os.PathLike[str],
-        settings: Settings,
-        command: str,
+        self, run: str | os.PathLike[str], capture: str | os.PathLike[str], under: str | os.PathLike[str],
+        folder: str | os.PathLike[str], settings: Settings, command: str,
     ) -> None:
         self.folder = Path(folder)
         self.settings = settings
@@ -102,11 +97,10 @@ class Relighting:
         """The folder of the pictures under a light, one folder a method."""
         return self.folder / WORK / PICTURES / lighting
 
-    def run(self, progress: Progress | None = None) -> dict[str, Results]:
+    def run(self, progress: Progress = SILENT) -> dict[str, Results]:
         """Trains the mesh and measures both methods under both lights; files are written after each piece of
         work.
         """
-        progress = progress or Silent()
         for name, store in self._stores.items():
             store.about, store.summary = self.results[name].about, self.results[name].summary
         methods: tuple[Relightable, ...] = (self._field, self._mesh(progress))
@@ -126,14 +120,8 @@ class Relighting:
     def _mesh(self, progress: Progress) -> RelightableMesh:
         mesh = RelightableMesh(self.settings.texture)
         unit, ready = fit_unit(
-            MESH,
-            f"train {mesh.label}",
-            mesh,
-            {"texture": self.settings.texture},
-            self.captures[SEEN],
-            Budget(None, self.settings.seed),
-            self.folder / WORK / MESH,
-            progress,
+            MESH, f"train {mesh.label}", mesh, {"texture": self.settings.texture}, self.captures[SEEN],
+            Budget(None, self.settings.seed), self.folder / WORK / MESH, progress,
         )
         run_units([unit], self._stores[SEEN], progress)
         ready()
@@ -144,10 +132,8 @@ class Relighting:
         return {
             "run": os.fspath(run),
             "capture": {"name": capture.name, "path": str(capture.path), "digest": capture.digest},
-            "measured": self._images[lighting].counts(),
-            "settings": asdict(self.settings),
-            "command": command,
-            "machine": machine.describe(),
+            "measured": self._images[lighting].counts(), "settings": asdict(self.settings),
+            "command": command, "machine": machine.describe(),
         }
 
 
@@ -170,12 +156,10 @@ def _expect_same_performance(capture: Capture, other: Capture) -> None:
             )
         if not np.allclose(
             other.poses.vertices[other.poses.index(frame)],
-            capture.poses.vertices[capture.poses.index(frame)],
-            atol=1e-5,
+            capture.poses.vertices[capture.poses.index(frame)], atol=1e-5,
         ):
             raise InputError(
-                where,
-                f"another pose in frame {frame}",
+                where, f"another pose in frame {frame}",
                 f"that of {capture.path}: the same performance in another light",
             )
     if capture.digest == other.digest:

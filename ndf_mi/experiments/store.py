@@ -82,10 +82,8 @@ class Store:
             None
             if self.staleness(unit)
             else validated(
-                _restored(self._entries[unit.key].value),
-                unit.record,
-                f"{self.file}: records[{unit.key!r}].value",
-                REPAIR,
+                _restored(self._entries[unit.key].value), unit.record,
+                f"{self.file}: records[{unit.key!r}].value", REPAIR,
             )
         )
 
@@ -128,11 +126,7 @@ class Store:
     def write(self) -> None:
         """Writes the file, whole or not at all."""
         head = {
-            "format": FORMAT,
-            "version": VERSION,
-            "study": self.study,
-            "about": self.about,
-            **self.summary(),
+            "format": FORMAT, "version": VERSION, "study": self.study, "about": self.about, **self.summary(),
         }
         files.write_json(
             self.file, {**_written(msgspec.to_builtins(head)), "records": msgspec.to_builtins(self._entries)}
@@ -154,10 +148,8 @@ def read_entries(file: Path, study: str) -> dict[str, Entry]:
     document = validated(found, Document, str(file), REPAIR)
     if (document.format, document.version, document.study) != (FORMAT, VERSION, study):
         raise InputError(
-            file,
-            f"format {document.format!r}, version {document.version}, study {document.study!r}",
-            f"format {FORMAT!r}, version {VERSION}, study {study!r}",
-            REPAIR,
+            file, f"format {document.format!r}, version {document.version}, study {document.study!r}",
+            f"format {FORMAT!r}, version {VERSION}, study {study!r}", REPAIR,
         )
     return {
         key: validated(entry, Entry, f"{file}: records[{key!r}]", REPAIR)

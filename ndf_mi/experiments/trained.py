@@ -27,12 +27,7 @@ def training_unit(
 
     inputs = {"capture": capture.digest, "preset": preset.to_dict(), "training": options.to_dict()}
     return Unit(
-        f"{name}/train",
-        inputs,
-        work,
-        Trained,
-        (folder / "config.json", folder / "field.safetensors"),
-        label,
+        f"{name}/train", inputs, work, Trained, (folder / "config.json", folder / "field.safetensors"), label,
         "train",
     )
 
@@ -76,8 +71,7 @@ def expect_options(run: Run, capture: Capture, preset: Preset, options: Training
         other = sorted(option for option in want if have[option] != want[option])
         if other:
             raise InputError(
-                f"{run.path / 'config.json'}: {key}",
-                f"{other[0]} = {have[other[0]]!r}",
+                f"{run.path / 'config.json'}: {key}", f"{other[0]} = {have[other[0]]!r}",
                 f"{want[other[0]]!r}, the value asked for",
                 "Give the options that the run was started with, or use another folder.",
             )

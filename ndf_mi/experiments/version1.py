@@ -42,11 +42,8 @@ def _comparison(document: dict[str, Any]) -> dict[str, Any]:
         if "budget" in facts:
             kind = next((name.removesuffix(end) for end in _BUDGETS if name.endswith(end)), name)
             inputs = {
-                "capture": facts["capture"],
-                "method": kind,
-                "options": {"texture": facts["size"]},
-                "seed": facts["seed"],
-                "budget": facts["budget"],
+                "capture": facts["capture"], "method": kind, "options": {"texture": facts["size"]},
+                "seed": facts["seed"], "budget": facts["budget"],
             }
             records[f"{name}/train"] = {"inputs": inputs, "value": {"kind": "trained", "metadata": facts}}
         drawn = {"images": method["fingerprint"], "capture": document.get("capture", {}).get("digest")}
@@ -54,23 +51,19 @@ def _comparison(document: dict[str, Any]) -> dict[str, Any]:
             view = {key: image[key] for key in ("split", "camera", "frame")}
             # Files from before sequences were measured have neither `sampled` nor `flicker`.
             rest = {
-                "seconds": image["seconds"],
-                "sampled": image.get("sampled", True),
+                "seconds": image["seconds"], "sampled": image.get("sampled", True),
                 "noise": facts.get("noise_psnr"),
             }
             figures = {key: value for key, value in image.items() if key not in {*view, *rest}}
             records[f"{name}/image/{view['split']}/{view['camera']}/{view['frame']:06d}"] = {
-                "inputs": drawn,
-                "value": {"kind": "image", "view": view, "figures": figures, **rest},
+                "inputs": drawn, "value": {"kind": "image", "view": view, "figures": figures, **rest},
             }
         for flicker in method.get("flicker", []):
             sequence = {key: flicker[key] for key in ("split", "camera", "frames")}
             records[f"{name}/flicker/{flicker['split']}"] = {
                 "inputs": {**drawn, **sequence},
                 "value": {
-                    "kind": "flicker",
-                    "sequence": sequence,
-                    "tpsnr": flicker["tpsnr"],
+                    "kind": "flicker", "sequence": sequence, "tpsnr": flicker["tpsnr"],
                     "frozen": flicker["frozen"],
                 },
             }
@@ -82,21 +75,16 @@ def _tradeoff(document: dict[str, Any]) -> dict[str, Any]:
     sessions = about.get("sessions", {"": about["timing"]} if "timing" in about else {})
     for row in document["points"]:
         value = {
-            "kind": "drawn",
-            **{key: row[key] for key in ("figures", "memory")},
-            "metadata": row["facts"],
+            "kind": "drawn", **{key: row[key] for key in ("figures", "memory")}, "metadata": row["facts"],
         }
         records[f"draw/{row['key']}"] = {
-            "inputs": {"images": row["fingerprint"], "under": row.get("under", "")},
-            "value": value,
+            "inputs": {"images": row["fingerprint"], "under": row.get("under", "")}, "value": value,
         }
     for session, conditions in sessions.items():
         rows = [row for row in document["points"] if row.get("session", "") == session]
         for repeat in range(min((len(row["seconds"]) for row in rows), default=0)):
             value = {
-                "kind": "timing",
-                "machine": conditions["machine"],
-                "timed": conditions["timed"],
+                "kind": "timing", "machine": conditions["machine"], "timed": conditions["timed"],
                 "points": {row["key"]: row["fingerprint"] for row in rows},
                 "seconds": {row["key"]: row["seconds"][repeat] for row in rows},
             }

@@ -19,7 +19,7 @@ from ndf_mi.commands import main
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
 from ndf_mi.experiments.compare import RESULTS, Comparison, Settings
-from ndf_mi.experiments.core import Silent
+from ndf_mi.experiments.core import Progress
 from ndf_mi.field import PRESETS
 from ndf_mi.methods import registry
 from ndf_mi.run import Run
@@ -59,10 +59,7 @@ class Brighter:
     def metadata(self):
         seconds = self._known["budget"] or self.seconds_to_converge
         return {
-            **self._known,
-            "seconds": seconds,
-            "steps": 10,
-            "converged": self._known["budget"] is None,
+            **self._known, "seconds": seconds, "steps": 10, "converged": self._known["budget"] is None,
             "tuned": {"rate": 0.5},
         }
 
@@ -84,12 +81,7 @@ def run(capture, tmp_path_factory):
     """An untrained field that claims an hour of training on the capture."""
     path = tmp_path_factory.mktemp("run")
     made = Run.create(
-        path,
-        PRESETS["tiny"],
-        capture.body,
-        capture.poses,
-        seed=0,
-        background=capture.background.tolist(),
+        path, PRESETS["tiny"], capture.body, capture.poses, seed=0, background=capture.background.tolist(),
         capture={"name": capture.name, "digest": capture.digest},
         trained={"steps": 10, "seconds": RUN_SECONDS, "done": True},
     )
@@ -137,16 +129,8 @@ def test_a_new_method_appears_in_tables_pictures_and_report_with_no_other_file_t
     try:
         out = tmp_path / "out"
         arguments = [
-            "compare",
-            str(run),
-            "--capture",
-            str(capture.path),
-            "-o",
-            str(out),
-            "--max-images",
-            "1",
-            "--samples",
-            "16",
+            "compare", str(run), "--capture", str(capture.path), "-o", str(out), "--max-images", "1",
+            "--samples", "16",
         ]
         assert main([*arguments, "--sequence", "2", "--methods", "ndf,grey@converged"]) == 0
     finally:
@@ -195,7 +179,7 @@ def test_what_is_there_is_neither_trained_nor_rendered_again(run, capture, tmp_p
     first = compared(run, capture, tmp_path, "ndf", "brighter", sequence=2)
     done = len(brighter.fits), len(brighter.renders)
 
-    class Never(Silent):
+    class Never(Progress):
         def begin(self, unit, number, of):
             pytest.fail(f"did {unit.key} again")
 
@@ -213,13 +197,12 @@ def test_what_is_there_is_neither_trained_nor_rendered_again(run, capture, tmp_p
     # Fewer methods: the others' records stay.
     assert keys(compared(run, capture, tmp_path, "ndf", progress=Never())) == ["ndf"]
     assert keys(compared(run, capture, tmp_path, "ndf", "brighter", texture=16, progress=Never())) == [
-        "ndf",
-        "brighter-converged",
+        "ndf", "brighter-converged",
     ]
 
 
 def test_an_interrupted_comparison_continues(run, capture, tmp_path, brighter):
-    class Interrupting(Silent):
+    class Interrupting(Progress):
         def done(self, unit, number, of):
             if unit.record.__name__ == "Measured" and number == 2:
                 raise KeyboardInterrupt
@@ -254,22 +237,8 @@ def test_images_of_another_program_are_measured(run, capture, tmp_path):
 def test_real_methods_by_the_command_line(run, capture, tmp_path, capsys):
     out = tmp_path / "out"
     arguments = [
-        "compare",
-        str(run),
-        "--capture",
-        str(capture.path),
-        "-o",
-        str(out),
-        "--max-images",
-        "1",
-        "--texture",
-        "16",
-        "--samples",
-        "16",
-        "--mesh-seconds",
-        "0.3",
-        "--methods",
-        "ndf,mesh@equal-time",
+        "compare", str(run), "--capture", str(capture.path), "-o", str(out), "--max-images", "1", "--texture",
+        "16", "--samples", "16", "--mesh-seconds", "0.3", "--methods", "ndf,mesh@equal-time",
     ]
     assert main(arguments) == 0
     printed = capsys.readouterr().out
@@ -289,14 +258,7 @@ def test_real_methods_by_the_command_line(run, capture, tmp_path, capsys):
 @pytest.mark.parametrize("value", ["none", "equal-time", "some"])
 def test_the_old_option_for_offsets_warns(run, capture, tmp_path, capsys, value):
     arguments = [
-        "compare",
-        str(run),
-        "--capture",
-        str(capture.path),
-        "-o",
-        str(tmp_path / "out"),
-        "--offsets",
-        value,
+        "compare", str(run), "--capture", str(capture.path), "-o", str(tmp_path / "out"), "--offsets", value,
     ]
     # The number of images is refused, so that nothing is compared.
     assert main([*arguments, "--max-images", "0"]) == 2
@@ -318,9 +280,7 @@ def test_a_run_without_training_time_needs_the_option(run, capture, tmp_path, br
     with pytest.raises(InputError, match="--mesh-seconds"):
         Comparison(tmp_path / "run", capture.path, tmp_path, settings("ndf", "brighter"), "")
     for one in (
-        settings("ndf", "brighter", mesh_seconds=1.0),
-        settings("ndf", "brighter@converged"),
-        settings("ndf"),
+        settings("ndf", "brighter", mesh_seconds=1.0), settings("ndf", "brighter@converged"), settings("ndf"),
     ):
         Comparison(tmp_path / "run", capture.path, tmp_path, one, "")
 
@@ -346,17 +306,9 @@ def test_a_run_that_went_on_for_a_moment_keeps_equal_time_trainings(run, capture
 @pytest.mark.parametrize(
     "option",
     [
-        {"max_images": 0},
-        {"texture": 0},
-        {"samples": -1},
-        {"mesh_seconds": 0.0},
-        {"mesh_seconds": float("inf")},
-        {"seed": -1},
-        {"sequence": 1},
-        {"sequence": -1},
-        {"protocol": "some"},
-        {"methods": ("some",)},
-        {"methods": ("ndf", "ndf")},
+        {"max_images": 0}, {"texture": 0}, {"samples": -1}, {"mesh_seconds": 0.0},
+        {"mesh_seconds": float("inf")}, {"seed": -1}, {"sequence": 1}, {"sequence": -1}, {"protocol": "some"},
+        {"methods": ("some",)}, {"methods": ("ndf", "ndf")},
     ],
 )
 def test_settings_are_checked(option):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ndf_mi.experiments.core import Silent, Unit, fresh_records, run_units
+from ndf_mi.experiments.core import Progress, Unit, fresh_records, run_units
 from ndf_mi.experiments.records import Trained
 from ndf_mi.experiments.store import Store
 
@@ -83,7 +83,7 @@ def test_units_do_not_depend_on_their_order_or_on_being_in_one_list(file: Path) 
 
 
 def test_progress_counts_the_units_of_a_group(file: Path) -> None:
-    class Watching(Silent):
+    class Watching(Progress):
         seen: list[tuple[str, str, int, int]] = []
 
         def begin(self, unit, number, of):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ndf_mi.errors import InputError
-from ndf_mi.experiments.core import Silent
+from ndf_mi.experiments.core import SILENT
 from ndf_mi.experiments.evaluate import ImageSet, already_measured, choose_views, measure
 from ndf_mi.experiments.flicker import choose_sequences, read_picture
 from ndf_mi.experiments.records import FrameSequence, View
@@ -44,13 +44,8 @@ def measured(capture, tmp_path):
     def call(method, views, sequences=(), progress=None):
         store = Store(tmp_path / "study.json", "test")
         return measure(
-            "m",
-            "M",
-            method,
-            ImageSet(capture, views, sequences),
-            tmp_path / "pictures",
-            store,
-            progress or Silent(),
+            "m", "M", method, ImageSet(capture, views, sequences), tmp_path / "pictures", store,
+            progress or SILENT,
         )
 
     return call
@@ -91,14 +86,12 @@ def test_frames_of_a_sequence_are_shared_and_do_not_count_in_the_means(capture, 
     sequence = FrameSequence("novel_view", "n0", (2, 5))
     images = ImageSet(capture, views, [sequence])
     assert images.rendered() == [
-        View("novel_view", "n0", 2),
-        View("novel_view", "n0", 5),
+        View("novel_view", "n0", 2), View("novel_view", "n0", 5),
     ] and images.counts() == {"novel_view": 1}
     method = Shifted(capture, 0.1)
     result = measured(method, views, [sequence])
     assert method.rendered == [("n0", 2), ("n0", 5)] and [image.sampled for image in result.images] == [
-        True,
-        False,
+        True, False,
     ]
     assert result.mean("novel_view", "box_psnr") == result.images[0].figures["box_psnr"]
     assert [known.sequence for known in result.flicker] == [sequence]

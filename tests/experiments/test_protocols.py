@@ -34,8 +34,7 @@ def layout(train=4, test=17, seen=range(60), novel=range(60, 260), background=0.
         background=np.full(3, background, np.float32),
         imported=imported,
         splits={
-            "train": Split(cameras[:train], tuple(seen)),
-            "novel_view": Split(held, tuple(seen)),
+            "train": Split(cameras[:train], tuple(seen)), "novel_view": Split(held, tuple(seen)),
             "novel_pose": Split(held, tuple(novel)),
         },
     )
@@ -93,13 +92,11 @@ CASES = {
     "test cameras": (layout(test=4), r"splits.novel_view.cameras.*4 cameras.*at least 17"),
     "training frames": (layout(seen=range(30)), r"splits.train.frames.*30 frames.*at least 60"),
     "novel poses": (
-        layout(novel=range(60, 100)),
-        r"splits.novel_pose.frames.*40 frames.*30th makes 2.*at least 7",
+        layout(novel=range(60, 100)), r"splits.novel_pose.frames.*40 frames.*30th makes 2.*at least 7",
     ),
     "no novel poses": (layout(novel=()), r"splits.novel_pose.frames.*0 frames"),
     "poses trained on": (
-        layout(novel=range(59, 300)),
-        r"novel_pose.frames.*frame 59, a training frame.*not trained on",
+        layout(novel=range(59, 300)), r"novel_pose.frames.*frame 59, a training frame.*not trained on",
     ),
 }
 
@@ -231,23 +228,13 @@ def test_a_comparison_by_a_protocol_that_the_capture_does_not_fit_leaves_with_ex
     capture, tmp_path, capsys
 ):
     made = Run.create(
-        tmp_path / "run",
-        PRESETS["tiny"],
-        capture.body,
-        capture.poses,
-        seed=0,
-        background=capture.background.tolist(),
-        capture={"name": capture.name, "digest": capture.digest},
+        tmp_path / "run", PRESETS["tiny"], capture.body, capture.poses, seed=0,
+        background=capture.background.tolist(), capture={"name": capture.name, "digest": capture.digest},
         trained={"steps": 10, "seconds": 3600.0, "done": True},
     )
     made.save()
     arguments = [
-        "compare",
-        str(tmp_path / "run"),
-        "--capture",
-        str(capture.path),
-        "-o",
-        str(tmp_path / "out"),
+        "compare", str(tmp_path / "run"), "--capture", str(capture.path), "-o", str(tmp_path / "out"),
     ]
     assert main([*arguments, "--protocol", "zju"]) == 2
     said = capsys.readouterr().err

@@ -51,8 +51,7 @@ def test_the_file_is_strict_json_with_a_summary_for_readers(file: Path) -> None:
     document = json.loads(file.read_text(), parse_constant=lambda name: pytest.fail(name))
     assert document["about"]["command"] == "ndf-mi compare …" and document["methods"][0]["mean"] == "inf"
     assert document["records"]["m/image/novel_view/inf/000003"]["value"]["figures"] == {
-        "psnr": "inf",
-        "ssim": None,
+        "psnr": "inf", "ssim": None,
     }
 
 
@@ -81,8 +80,7 @@ IMAGE = ("records", "m/image/novel_view/inf/000003", "value")
         (("study",), "tradeoff", ["'tradeoff'", "'comparison'"]),
         (("records",), [], ["records", "array", "object"]),
         (
-            (*IMAGE, "seconds"),
-            "fast",
+            (*IMAGE, "seconds"), "fast",
             ["m/image/novel_view/inf/000003", "value.seconds", "found str", "expected float"],
         ),
         ((*IMAGE, "figures", "psnr"), True, ["value.figures", "found bool", "float"]),
@@ -111,8 +109,7 @@ def test_a_file_that_is_no_json_object_is_refused(tmp_path: Path, text: str) -> 
 @pytest.mark.parametrize(
     ("file", "study"),
     [
-        ("compare/compare.json", "comparison"),
-        ("ablation/ablation.json", "ablation"),
+        ("compare/compare.json", "comparison"), ("ablation/ablation.json", "ablation"),
         ("relight/seen.json", "relighting, seen light"),
     ],
 )
@@ -139,9 +136,7 @@ def test_comparisons_of_version_1_keep_images_sequences_and_trainings(file: str,
             assert store.inputs(f"{method['key']}/train") == {
                 "capture": facts["capture"],
                 "method": method["key"].removesuffix("-converged").removesuffix("-equal-time"),
-                "options": {"texture": facts["size"]},
-                "seed": facts["seed"],
-                "budget": facts["budget"],
+                "options": {"texture": facts["size"]}, "seed": facts["seed"], "budget": facts["budget"],
             }
 
 

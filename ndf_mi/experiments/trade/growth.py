@@ -116,11 +116,6 @@ def fit_growth(x: Sequence[float], y: Sequence[float]) -> Growth:
     last = a >= a[-1] / 10 * (1 - 1e-9)
     slope = float(np.polyfit(np.log(a[last]), np.log(b[last]), 1)[0]) if last.sum() > 1 else float("nan")
     return Growth(
-        tuple(a.tolist()),
-        tuple(b.tolist()),
-        fixed,
-        factor / a[-1] ** exponent,
-        exponent,
-        distance / len(b) ** 0.5,
-        slope,
+        tuple(a.tolist()), tuple(b.tolist()), fixed, factor / a[-1] ** exponent, exponent,
+        distance / len(b) ** 0.5, slope,
     )

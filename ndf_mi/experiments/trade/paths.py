@@ -55,8 +55,7 @@ class PathTracer:
             begun = time.perf_counter()
             scene = mi.load_dict(
                 {
-                    "type": "scene",
-                    **self._lights,
+                    "type": "scene", **self._lights,
                     "performer": self._performer(setting.bounds, setting.grid_spacing, frame),
                 }
             )

@@ -89,19 +89,15 @@ def rendering_points(preset: Preset) -> list[Point]:
     turned += [("samples", f"samples-{n}", f"{n} samples", {"samples": n}) for n in (8, 16, 32, 64, 256, 512)]
     turned += [
         (
-            "stratified",
-            f"stratified-{n}",
-            f"{n} samples, shifted at random",
+            "stratified", f"stratified-{n}", f"{n} samples, shifted at random",
             {"samples": n, "stratified": True},
         )
         for n in (16, 32, 128)
     ]
     turned += [
         (
-            "termination",
-            f"cutoff-{c:g}",
-            f"rays end at transmittance {c:g}" if c else "every ray to its end",
-            {"cutoff": c},
+            "termination", f"cutoff-{c:g}",
+            f"rays end at transmittance {c:g}" if c else "every ray to its end", {"cutoff": c},
         )
         for c in (0.0, 1e-3, 1e-2, 1e-1)
     ]
@@ -126,8 +122,7 @@ def rendering_points(preset: Preset) -> list[Point]:
     ]
     turned += [
         (
-            "together",
-            f"samples-{n}-cutoff-0.01-size-{s:g}",
+            "together", f"samples-{n}-cutoff-0.01-size-{s:g}",
             f"{n} samples, to 0.01" + (f", {s:g} of the size" if s < 1 else ""),
             {"samples": n, "cutoff": 1e-2, "size": s},
         )
@@ -145,8 +140,7 @@ def rendering_points(preset: Preset) -> list[Point]:
     ]
     points += [
         Point(
-            f"path-{b}",
-            "path",
+            f"path-{b}", "path",
             f"{usual_path.spp} paths a pixel, in the {'bounding box' if b == 'box' else 'shell'}",
             PathSetting(bounds=b),
         )
@@ -156,16 +150,11 @@ def rendering_points(preset: Preset) -> list[Point]:
         # A grid holds one colour for all directions.
         points += [
             Point(
-                f"path-grid-{1e3 * cell:g}-{n}",
-                "path",
-                f"{n} paths a pixel, on a grid of {1e3 * cell:g} mm",
+                f"path-grid-{1e3 * cell:g}-{n}", "path", f"{n} paths a pixel, on a grid of {1e3 * cell:g} mm",
                 PathSetting(n, grid_spacing=cell),
             )
             for cell, n in (
-                (0.012, usual_path.spp),
-                (0.006, usual_path.spp),
-                (0.003, usual_path.spp),
-                (0.003, 32),
+                (0.012, usual_path.spp), (0.006, usual_path.spp), (0.003, usual_path.spp), (0.003, 32),
                 (0.003, 128),
             )
         ]

@@ -122,13 +122,8 @@ class Renderings:
     def cache_key(self, point: Point) -> str:
         """SHA-256 (hex) over everything that the errors of a point depend on, except the code."""
         parts = [
-            self.digest(point.field),
-            self._capture.digest,
-            point.setting.to_dict(),
-            self.views(point),
-            self._path_size * point.by_paths,
-            converged().to_dict(),
-            CONVERGED_SPP,
+            self.digest(point.field), self._capture.digest, point.setting.to_dict(), self.views(point),
+            self._path_size * point.by_paths, converged().to_dict(), CONVERGED_SPP,
         ]
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 

@@ -119,9 +119,7 @@ class Row(Struct):
     def summary(self) -> dict[str, Any]:
         """JSON values for readers of the study's file: the row and its means."""
         means = {
-            **{key: self.truth(key) for key in TRUTH},
-            "converged": self.converged(),
-            "model": self.model(),
+            **{key: self.truth(key) for key in TRUTH}, "converged": self.converged(), "model": self.model(),
             "seconds": self.frame_seconds,
         }
         return {**msgspec.to_builtins(self), "means": means}
@@ -153,46 +151,18 @@ class Trade(Struct):
         sheet = csv.writer(stream, lineterminator="\n")
         sheet.writerow(
             [
-                "point",
-                "axis",
-                "label",
-                "field",
-                "integrator",
-                *turned,
-                "seconds_a_frame",
-                "seconds_least",
-                "seconds_most",
-                "repeats",
-                "session",
-                "loading_seconds",
-                "training_seconds",
-                "training_steps",
-                "peak_bytes",
-                *TRUTH,
-                "converged_box_psnr",
-                "model_box_psnr",
+                "point", "axis", "label", "field", "integrator", *turned, "seconds_a_frame", "seconds_least",
+                "seconds_most", "repeats", "session", "loading_seconds", "training_seconds", "training_steps",
+                "peak_bytes", *TRUTH, "converged_box_psnr", "model_box_psnr",
             ]
         )
         for row in self.rows:
             cells = [
-                row.key,
-                row.axis,
-                row.label,
-                row.field,
-                "volpath" if row.by_paths else "quadrature",
-                *(row.setting.get(key) for key in turned),
-                row.frame_seconds,
-                min(row.seconds, default=None),
-                max(row.seconds, default=None),
-                len(row.seconds),
-                row.session,
-                row.metadata.get("loading"),
-                row.metadata.get("training_seconds"),
-                row.metadata.get("steps"),
-                row.memory,
-                *(row.truth(key) for key in TRUTH),
-                row.converged(),
-                row.model(),
+                row.key, row.axis, row.label, row.field, "volpath" if row.by_paths else "quadrature",
+                *(row.setting.get(key) for key in turned), row.frame_seconds, min(row.seconds, default=None),
+                max(row.seconds, default=None), len(row.seconds), row.session, row.metadata.get("loading"),
+                row.metadata.get("training_seconds"), row.metadata.get("steps"), row.memory,
+                *(row.truth(key) for key in TRUTH), row.converged(), row.model(),
             ]
             sheet.writerow(["" if cell is None else cell for cell in cells])
         files.write_text(path, stream.getvalue())

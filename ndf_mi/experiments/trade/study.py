@@ -16,7 +16,7 @@ from ndf_mi import machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
-from ndf_mi.experiments.core import Progress, Silent, Unit, run_units
+from ndf_mi.experiments.core import SILENT, Progress, Unit, run_units
 from ndf_mi.experiments.evaluate import choose_views, save_picture
 from ndf_mi.experiments.records import View
 from ndf_mi.experiments.settings import at_least, positive
@@ -98,12 +98,8 @@ class TradeStudy:
     """
 
     def __init__(
-        self,
-        run: str | os.PathLike[str],
-        capture: str | os.PathLike[str],
-        folder: str | os.PathLike[str],
-        settings: Settings,
-        command: str,
+        self, run: str | os.PathLike[str], capture: str | os.PathLike[str], folder: str | os.PathLike[str],
+        settings: Settings, command: str,
     ) -> None:
         self.folder = Path(folder)
         self.settings = settings
@@ -145,13 +141,12 @@ class TradeStudy:
         self._store = Store(self.folder / RESULTS, "tradeoff")
         self.trade = Trade(self._about(command, views))
 
-    def run(self, progress: Progress | None = None) -> Trade:
+    def run(self, progress: Progress = SILENT) -> Trade:
         """Does what is missing or stale.
 
         Raises:
             KeyboardInterrupt: stopped; the same study continues where it stopped.
         """
-        progress = progress or Silent()
         self._store.about, self._store.summary = self.trade.about, self.trade.summary
         run_units(
             [
@@ -167,13 +162,8 @@ class TradeStudy:
         run_units([self._unit(point) for point in self.points], self._store, progress)
         keys = [self._renderings.cache_key(point) for point in self.points]
         session = Session(
-            self.points,
-            keys,
-            self._renderings.timed,
-            self._renderings.draw,
-            self._machine,
-            self.settings.timed,
-            self.settings.seed,
+            self.points, keys, self._renderings.timed, self._renderings.draw, self._machine,
+            self.settings.timed, self.settings.seed,
         )
         run_units(session.units(self.settings.repeats), self._store, progress)
         self._fill(session.name)
@@ -205,18 +195,8 @@ class TradeStudy:
         name, seconds = timings.of(point.key, cache_key, session)
         repeats = self.settings.repeats if session else None
         return Row(
-            point.key,
-            point.axis,
-            point.label,
-            point.field,
-            point.setting.to_dict(),
-            point.by_paths,
-            cache_key,
-            drawn.metadata,
-            drawn.memory,
-            drawn.figures,
-            seconds[:repeats],
-            name,
+            point.key, point.axis, point.label, point.field, point.setting.to_dict(), point.by_paths,
+            cache_key, drawn.metadata, drawn.memory, drawn.figures, seconds[:repeats], name,
         )
 
     def _drawn(self, point: Point) -> Drawn | None:
@@ -229,13 +209,8 @@ class TradeStudy:
         """Rendering and measuring a point."""
         pictures = tuple(self._picture(point.key, view) for view in self._renderings.views(point))
         return Unit(
-            f"draw/{point.key}",
-            {"images": self._renderings.cache_key(point), "under": self._under},
-            lambda: self._measure(point),
-            Drawn,
-            pictures,
-            f"render {point.label}",
-            "render",
+            f"draw/{point.key}", {"images": self._renderings.cache_key(point), "under": self._under},
+            lambda: self._measure(point), Drawn, pictures, f"render {point.label}", "render",
         )
 
     def _measure(self, point: Point) -> Drawn:
@@ -251,8 +226,7 @@ class TradeStudy:
             of_truth = {} if truth is None else metrics.measure(truth, picture, mask)
             figures.append(
                 Figures(
-                    view,
-                    {key: of_truth[key] for key in TRUTH if key in of_truth},
+                    view, {key: of_truth[key] for key in TRUTH if key in of_truth},
                     metrics.psnr(converged, picture, mask) if mask.any() else None,
                     metrics.psnr(truth, converged, mask) if truth is not None and mask.any() else None,
                 )
@@ -271,8 +245,7 @@ class TradeStudy:
         run = self._renderings.fields[point.field]
         done = run.config.get("trained", {})
         return {
-            "steps": done.get("steps"),
-            "training_seconds": done.get("seconds"),
+            "steps": done.get("steps"), "training_seconds": done.get("seconds"),
             "loading": self._renderings.loading(point),
             "parameters": sum(values.size for values in run.field_tensors().values()),
         }
@@ -320,8 +293,7 @@ class TradeStudy:
         camera = self.capture.cameras[views[0].camera]
         return {
             "run": {
-                "path": str(self._run.path),
-                "preset": self._run.model.field.preset.name,
+                "path": str(self._run.path), "preset": self._run.model.field.preset.name,
                 "digest": self._renderings.digest(RUN),
             },
             "capture": {"name": self.capture.name, "digest": self.capture.digest},

@@ -58,10 +58,7 @@ class Session:
 
         def unit(repeat: int) -> Unit[Timing]:
             return Unit(
-                f"timing/{self.name}/{repeat}",
-                inputs,
-                lambda: self._repeat(repeat),
-                Timing,
+                f"timing/{self.name}/{repeat}", inputs, lambda: self._repeat(repeat), Timing,
                 label="time all points",
             )
 
@@ -74,9 +71,7 @@ class Session:
         taken = self._round(repeat + 1)
         keys = [point.key for point in self.points]
         return Timing(
-            dict(self.machine),
-            self.timed,
-            dict(zip(keys, self.cache_keys, strict=True)),
+            dict(self.machine), self.timed, dict(zip(keys, self.cache_keys, strict=True)),
             dict(zip(keys, taken, strict=True)),
         )
 

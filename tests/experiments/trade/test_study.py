@@ -8,7 +8,7 @@ import pytest
 
 from ndf_mi.commands import main
 from ndf_mi.errors import InputError
-from ndf_mi.experiments.core import Silent
+from ndf_mi.experiments.core import Progress
 from ndf_mi.experiments.trade import points, study
 from ndf_mi.experiments.trade.study import PICTURES, RESULTS, TABLE, Settings, TradeStudy
 from ndf_mi.field import Preset
@@ -35,7 +35,7 @@ def make(run, capture, folder, settings=SETTINGS):
     return TradeStudy(run.path, capture.path, folder, settings, "ndf-mi tradeoff …")
 
 
-class Begun(Silent):
+class Begun(Progress):
     """Keeps the labels of the units that were begun."""
 
     def __init__(self, stop_at=()):
@@ -195,9 +195,7 @@ def test_path_tracing_is_a_trade_of_its_own(trained_run, capture, tmp_path, monk
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--only", "colour"], "samples"),
-        (["--repeats", "0"], "repeats"),
-        (["--seconds", "0"], "seconds"),
+        (["--only", "colour"], "samples"), (["--repeats", "0"], "repeats"), (["--seconds", "0"], "seconds"),
         (["--views", "0"], "views"),
     ],
 )
@@ -211,12 +209,12 @@ def test_mistakes_leave_with_exit_code_2(trained_run, capture, tmp_path, capsys,
 
 
 def test_a_run_of_another_capture_is_refused(trained_run, write_capture, tmp_path):
-    with pytest.raises(InputError, match="the one that"):
+    with pytest.raises(InputError, match="trained on"):
         TradeStudy(trained_run.path, write_capture("other"), tmp_path / "out", SETTINGS, "…")
     assert not (tmp_path / "out").exists()
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / study.RESULTS).write_text("{")
-    with pytest.raises(InputError, match="Remove it"):
+    with pytest.raises(InputError, match="Remove the file"):
         TradeStudy(
             trained_run.path, trained_run_capture(trained_run, write_capture), tmp_path / "out", SETTINGS, "…"
         )
