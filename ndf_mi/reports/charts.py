@@ -14,7 +14,7 @@ import matplotlib
 import numpy as np
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from ndf_mi.experiments.trade.growth import Growth
 
@@ -69,9 +69,12 @@ def line_chart(
         label, x, y = reference
         marker = _marker(x, "_")
         axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", color=INK, alpha=0.6, marker=marker)
+    values = [value for _, x, _ in lines for value in x]
     if log_x:
         axes.set_xscale("log")
-        _ticks(axes.xaxis, max(max(x) for _, x, _ in lines) / min(min(x) for _, x, _ in lines))
+        _ticks(axes.xaxis, max(values) / min(values))
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator("auto", integer=all(value == round(value) for value in values)))
     if len(lines) > 1:
         _legend(axes, columns=2)
     alt = f"Line chart of {y_label} against {x_label}. " + " ".join(map(_describe, lines))
@@ -191,7 +194,9 @@ def _name_points(
 
 
 def _legend(axes: Any, columns: int) -> None:
-    """A legend above the drawing."""
+    """A legend above the drawing, in fewer columns where labels are long."""
+    longest = max(len(label) for label in axes.get_legend_handles_labels()[1])
+    columns = max(1, min(columns, 70 // (longest + 7)))
     place = {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0.2}
     axes.legend(frameon=False, labelcolor=INK, fontsize=_FONT, ncols=columns, **place)
 
