@@ -124,13 +124,13 @@ class ScatteringStep:
         frame = batch.frame
         # Without an occupancy: all nodes in the band are evaluated.
         posed = PosedModel(self._run.model, parameters, self._run.surface(frame), mi.Float(batch.pose))
-        baked = self._scene.place(posed, frame, batch.paths.shift)
+        baked, nodes = self._scene.place(posed, frame, batch.paths.shift)
         ray = repeated(batch.ray, self._paths)
         colours = self._replay.radiance(ray, batch.paths.seed)
         error, adjoint = self._loss(colours, mi.Color3f(batch.target))
         self._replay.backward(ray, batch.paths.seed, colours, adjoint)
         # Has the value of the error, and its gradients by way of the nodes.
-        vjp = baked.vjp(self._scene.gradient())
+        vjp = baked.vjp(dr.grad(nodes))
         return density_terms + (error + vjp - dr.detach(vjp)), statistics(radiance, posed, error)
 
 

@@ -65,7 +65,7 @@ class ScatteringScene:
         self._parameters = mi.traverse(self.scene)
         self._frame: int | None = None
 
-    def place(self, posed: PosedModel, frame: int, shift: np.ndarray) -> Baked:
+    def place(self, posed: PosedModel, frame: int, shift: np.ndarray) -> tuple[Baked, mi.Float]:
         """Evaluates a field on the grid and moves the shell around it.
 
         Args:
@@ -74,25 +74,21 @@ class ScatteringScene:
             shift: (3,) in [0, 1): the grid's offset in cells.
 
         Returns:
-            the field at the nodes; the gradients that paths find in the nodes are :meth:`gradient`.
+            the field at the grid's nodes, and the nodes that paths see, whose gradients replayed paths add to.
         """
         low = mi.Point3f(*(float(v) for v in self._lows[frame] + self._cell * shift))
         dr.make_opaque(low)
         baked = bake(posed, low, self._cell, self._shape)
-        self._nodes = mi.Float(baked.nodes)
-        dr.enable_grad(self._nodes)
-        self._medium.fill(self._nodes, low, baked.densest)
+        nodes = mi.Float(baked.nodes)
+        dr.enable_grad(nodes)
+        self._medium.fill(nodes, low, baked.densest)
         if frame != self._frame:
             vertices, faces = self._shells[frame]
             set_vertices(self._parameters, vertices, "performer")
             set_faces(self._parameters, faces, "performer")
             self._parameters.update()
             self._frame = frame
-        return baked
-
-    def gradient(self) -> mi.Float:
-        """Gradients in the grid's nodes that replayed paths have accumulated since the last :meth:`place`."""
-        return dr.grad(self._nodes)
+        return baked, nodes
 
 
 def expect_outside(run: Run, camera: Camera, frame: int, cell: float = SHELL_CELL) -> None:

@@ -92,10 +92,10 @@ class OnLattice:
         if wanted:
             dr.enable_grad(self.values)
         posed = self.run.posed(0, parameters=self.run.parameters.replace(**self.values))
-        self.baked = self.stage.place(posed, 0, np.full(3, 0.3))
+        self.baked, self.nodes = self.stage.place(posed, 0, np.full(3, 0.3))
 
     def gradients(self, names):
-        dr.backward(self.baked.vjp(self.stage.gradient()))
+        dr.backward(self.baked.vjp(dr.grad(self.nodes)))
         return {name: dr.grad(self.values[name]).numpy() for name in names}
 
 
