@@ -78,7 +78,9 @@ def validated(value: Any, kind: type[T], where: str, repair: str = "") -> T:
         place = place.rstrip("`")
         wrong = re.fullmatch("Expected `(.*)`, got `(.*)`", text)
         missing = re.fullmatch("Object missing required field `(.*)`", text)
-        found, expected = (wrong[2], wrong[1]) if wrong else (text[:1].lower() + text[1:], "a value of this format")
+        found, expected = text[:1].lower() + text[1:], "a value of this format"
+        if wrong:
+            expected, found = wrong.groups()
         if missing:
             place, found, expected = f"{place}.{missing[1]}", "nothing", "a value"
         at = place.lstrip(".") if ": " not in where else place

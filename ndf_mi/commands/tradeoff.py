@@ -14,8 +14,8 @@ from ndf_mi.experiments.trade.points import AXES, PATHS, RENDERING, TRAINED
 
 REPORT = "report.html"
 _ONLY_HELP = (
-    f"What is varied: {', '.join(RENDERING)}, which render the run with other settings; {PATHS[0]}, which renders it with "
-    f"Mitsuba's volpath; {', '.join(TRAINED)}, which train fields. All by default."
+    f"What is varied: {', '.join(RENDERING)}, which render the run with other settings; {PATHS[0]}, which "
+    f"renders it with Mitsuba's volpath; {', '.join(TRAINED)}, which train fields. All by default."
 )
 
 

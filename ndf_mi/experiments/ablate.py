@@ -1,4 +1,4 @@
-"""The ablation study: every variant of the method trained on one capture and measured on its held-out images."""
+"""The ablation study: all variants of the method, trained on one capture and measured on held-out images."""
 
 from __future__ import annotations
 

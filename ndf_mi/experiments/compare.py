@@ -100,7 +100,7 @@ class Comparison:
         self._tuned: dict[str, Any] = {}
 
     def run(self, progress: Progress = SILENT) -> Results:
-        """Trains and measures what is missing or stale; `compare.json` is written after each piece of work."""
+        """Trains and measures what is missing or stale. `compare.json` is written after each unit."""
         self._store.about, self._store.summary = self.results.about, self.results.summary
         chosen = [one for spec in self._specs for one in self._ready(spec, progress)]
         self.results.methods = []
@@ -152,7 +152,7 @@ class Comparison:
         return Compared(name, label, ready())
 
     def _budget(self, name: str) -> float:
-        """Seconds of equal time; those of an earlier training if the run has only gone on for a moment since."""
+        """Seconds of equal time: those of an earlier training if the run has hardly been trained since."""
         known = self._store.inputs(f"{name}/train").get("budget")
         if (
             self.settings.mesh_seconds is None

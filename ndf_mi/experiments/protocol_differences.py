@@ -33,13 +33,15 @@ def differences(layout: str, every: int, capture: Capture) -> list[str]:
             else f"was imported from another layout, {found.layout}"
         )
         return [
-            f"This capture {origin}, so its cameras and frames could not be compared with those of {_WHAT[layout]}'s evaluation."
+            f"This capture {origin}, so its cameras and frames could not be compared with those of "
+            f"{_WHAT[layout]}'s evaluation."
         ]
     if layout == dynacap.LAYOUT:
         return _dynacap(capture, every)
     if found.subject not in zju.SUBJECTS:
         return [
-            f"The protocol's cameras and frames are unknown for subject {found.subject!r}; only minimum numbers were checked."
+            f"The protocol's cameras and frames are unknown for subject {found.subject!r}; only minimum "
+            "numbers were checked."
         ]
     return _zju(capture, found, every)
 
@@ -54,7 +56,8 @@ def _zju(capture: Capture, found: Imported, every: int) -> list[str]:
         notes += _cameras(f"The test cameras of {label}", capture.splits[name].cameras, held_out)
     if abs(found.scale - zju.SCALE) > 1e-9:
         notes.append(
-            f"Images are scaled by {found.scale:g} from {zju.SIZE[0]}² pixels; the protocol scales by {zju.SCALE:g}."
+            f"Images are scaled by {found.scale:g} from {zju.SIZE[0]}² pixels; the protocol scales by "
+            f"{zju.SCALE:g}."
         )
     return notes
 

@@ -53,7 +53,7 @@ class Protocol:
     layout: str | None = None
 
     def frames(self, split: Split) -> tuple[int, ...]:
-        """The frames of a held-out split that are measured. A split that holds no others is measured whole."""
+        """The frames of a held-out split that are measured. A split without others is measured whole."""
         return split.every(self.every)
 
     def check(self, capture: Capture) -> None:
@@ -113,8 +113,9 @@ class Protocol:
         if self.edge_kernels and kernel not in self.edge_kernels:
             wanted = " or ".join(map(str, self.edge_kernels))
             notes.append(
-                f"The protocol trains without the edge band of the masks (kernel {wanted}); the run's kernel is "
-                f"{'unknown' if kernel is None else kernel}. `ndf-mi optimise --option edge_kernel={self.edge_kernels[0]}` follows it."
+                f"The protocol trains without the edge band of the masks (kernel {wanted}); the run's kernel "
+                f"is {'unknown' if kernel is None else kernel}. "
+                f"`ndf-mi optimise --option edge_kernel={self.edge_kernels[0]}` follows it."
             )
         if self.black and capture.background.any():
             colour = ", ".join(f"{value:.2f}" for value in capture.background)
@@ -156,13 +157,15 @@ DEFAULT = Protocol(
 )
 ZJU = Protocol(
     "zju",
-    "ZJU-MoCap as in Neural Body and NDF: four training cameras, all others tested, every 30th frame of each split.",
+    "ZJU-MoCap as in Neural Body and NDF: four training cameras, all others tested, every 30th frame of each "
+    "split.",
     every=30, train_cameras=4, test_cameras=17, train_frames=60,
     measured_frames=(("novel_view", 2), ("novel_pose", 7)), edge_kernels=(3, 5), black=True, layout="zju",
 )
 DYNACAP = Protocol(
     "dynacap",
-    "DynaCap as in NDF: trained on 1,000 frames of ten cameras; tested on five others, in these and the next 1,000 frames, every 30th.",
+    "DynaCap as in NDF: trained on 1,000 frames of ten cameras; tested on five others, in every 30th of "
+    "these and of the next 1,000 frames.",
     every=30, train_cameras=10, test_cameras=5, train_frames=1000,
     measured_frames=(("novel_view", 34), ("novel_pose", 34)), edge_kernels=(3,), black=True, layout="dynacap",
 )

@@ -145,7 +145,7 @@ def _held_out(capture: Capture, settings: Settings) -> ImageSet:
 
 
 def _expect_same_performance(capture: Capture, other: Capture) -> None:
-    """Raises InputError unless both captures show the same body in the same poses, for all frames of `other`."""
+    """Raises InputError unless all frames of `other` show the body and poses of `capture`."""
     where = f"{other.path / 'poses.npz'}"
     if not np.array_equal(capture.body.faces, other.body.faces):
         raise InputError(other.path / "body.npz", "another body", f"that of {capture.path}")

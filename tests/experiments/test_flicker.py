@@ -59,7 +59,9 @@ def test_independent_noise_is_three_decibels_below_psnr(capture, sequence, tmp_p
     truth = [capture.image("c0", frame) for frame in sequence.frames]
     write(tmp_path, sequence, [image + rng.normal(0, 0.05, image.shape) for image in truth])
     psnr = -20 * math.log10(0.05)
-    assert measure_flicker(capture, sequence, tmp_path).tpsnr[0] == pytest.approx(psnr - 10 * math.log10(2), abs=0.2)
+    assert measure_flicker(capture, sequence, tmp_path).tpsnr[0] == pytest.approx(
+        psnr - 10 * math.log10(2), abs=0.2
+    )
 
 
 def test_both_boxes_count(capture, sequence, tmp_path):
@@ -67,7 +69,10 @@ def test_both_boxes_count(capture, sequence, tmp_path):
     from ndf_mi.experiments import metrics
 
     truth = [capture.image("c0", frame) for frame in sequence.frames]
-    masks = [metrics.box_mask(capture.cameras["c0"], capture.poses.vertices[capture.poses.index(f)]) for f in (2, 5)]
+    masks = [
+        metrics.box_mask(capture.cameras["c0"], capture.poses.vertices[capture.poses.index(f)])
+        for f in (2, 5)
+    ]
     left = masks[0] & ~masks[1]
     assert left.any()
     ghost = truth[1].copy()

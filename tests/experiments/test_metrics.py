@@ -72,7 +72,11 @@ def test_box_figures_by_hand():
     assert figures["box_ssim"] == pytest.approx(0.7001 / 0.7401)
     assert figures["box_ssim_range2"] == pytest.approx(0.7004 / 0.7404)
     # Of the whole image's 2 × 3 window centres one window is the box; the mean is over all six.
-    windows = [metrics.ssim(truth[r : r + 7, c : c + 7], image[r : r + 7, c : c + 7]) for r in (0, 1) for c in (0, 1, 2)]
+    windows = [
+        metrics.ssim(truth[r : r + 7, c : c + 7], image[r : r + 7, c : c + 7])
+        for r in (0, 1)
+        for c in (0, 1, 2)
+    ]
     assert windows[1] == pytest.approx(0.7001 / 0.7401)
     assert figures["ssim"] == pytest.approx(np.mean(windows))
     # Zeros outside the mask are part of the box's rectangle: with one pixel cut out of the mask both sides
@@ -116,7 +120,9 @@ def test_box_mask_by_hand():
 def test_training_and_metrics_share_the_padding():
     corners = np.array([[-0.2, -0.3, -0.2], [0.2, 0.2, 0.2]])
     camera = look_at((0.5, 0.4, 2), (0, 0, 0))
-    assert (metrics.box_mask(camera, corners) == metrics.box_mask(camera, corners, TrainingOptions().box_padding)).all()
+    assert (
+        metrics.box_mask(camera, corners) == metrics.box_mask(camera, corners, TrainingOptions().box_padding)
+    ).all()
 
 
 def test_psnr_of_identical_images_is_infinite_and_survives_json(pair):
@@ -223,7 +229,12 @@ def hunt_lab(rgb: tuple[float, float, float]) -> np.ndarray:
     """Linear sRGB to L*a*b* with FLIP's white, a and b scaled by L/100 for Hunt's effect (Andersson et al.
     2020, section 4.1).
     """
-    matrix = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]])
+    matrix = np.array(
+        [
+            [0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750],
+            [0.0193339, 0.1191920, 0.9503041],
+        ]
+    )
     scaled = (matrix @ np.array(rgb)) / (matrix @ np.ones(3))
     f = np.where(scaled > (6 / 29) ** 3, np.cbrt(scaled), scaled / (3 * (6 / 29) ** 2) + 4 / 29)
     lightness, a, b = 116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])
@@ -234,6 +245,7 @@ def flip_of_constants(first: tuple[float, float, float], second: tuple[float, fl
     """FLIP of two images of one colour each, 0 or 1 a channel: no filter changes them and they have no
     features.
     """
+
     def distance(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
         difference = hunt_lab(a) - hunt_lab(b)
         return float(abs(difference[0]) + np.hypot(*difference[1:])) ** 0.7

@@ -154,21 +154,45 @@ OF_313 = {"seen": range(60), "novel": range(60, 1060), "imported": imported("313
 DIFFERENCES = {
     "nothing": (OF_313, []),
     "thinned out as the protocol does": (OF_313 | {"novel": range(60, 1060, 30)}, []),
-    "another subject's frames": (OF_313 | {"imported": imported("377", zju_order(21))}, [
-        "60 of the 300 training frames of subject 377", "2 frames of novel views are measured; the protocol measures 10",
-        "34 frames of novel poses are measured; the protocol measures 7"]),
-    "fewer novel poses": (OF_313 | {"novel": range(60, 260)}, ["7 frames of novel poses are measured; the protocol measures 34"]),
-    "other training cameras": (OF_313 | {"imported": imported("313", [f"c{i:02d}" for i in range(21)])}, [
-        "training cameras are not the protocol's: c06, c12, c18 missing and c01, c02, c03 added",
-        "test cameras of novel views are not", "test cameras of novel poses are not"]),
-    "fewer test cameras": (OF_313 | {"imported": imported("313", zju_order(23))}, [
-        "test cameras of novel views are not the protocol's: c21, c22 missing.", "test cameras of novel poses"]),
-    "another size": (OF_313 | {"imported": imported("313", zju_order(21), scale=1.0)}, [
-        "scaled by 1 from 1024² pixels; the protocol scales by 0.5"]),
-    "an unknown subject": (OF_313 | {"imported": imported("999", zju_order(21))}, ["unknown for subject '999'"]),
-    "another layout": (OF_313 | {"imported": imported("D1", zju_order(21), "dynacap")}, ["imported from another layout, dynacap"]),
+    "another subject's frames": (
+        OF_313 | {"imported": imported("377", zju_order(21))},
+        [
+            "60 of the 300 training frames of subject 377",
+            "2 frames of novel views are measured; the protocol measures 10",
+            "34 frames of novel poses are measured; the protocol measures 7",
+        ],
+    ),
+    "fewer novel poses": (
+        OF_313 | {"novel": range(60, 260)},
+        ["7 frames of novel poses are measured; the protocol measures 34"],
+    ),
+    "other training cameras": (
+        OF_313 | {"imported": imported("313", [f"c{i:02d}" for i in range(21)])},
+        [
+            "training cameras are not the protocol's: c06, c12, c18 missing and c01, c02, c03 added",
+            "test cameras of novel views are not", "test cameras of novel poses are not",
+        ],
+    ),
+    "fewer test cameras": (
+        OF_313 | {"imported": imported("313", zju_order(23))},
+        [
+            "test cameras of novel views are not the protocol's: c21, c22 missing.",
+            "test cameras of novel poses",
+        ],
+    ),
+    "another size": (
+        OF_313 | {"imported": imported("313", zju_order(21), scale=1.0)},
+        ["scaled by 1 from 1024² pixels; the protocol scales by 0.5"],
+    ),
+    "an unknown subject": (
+        OF_313 | {"imported": imported("999", zju_order(21))}, ["unknown for subject '999'"],
+    ),
+    "another layout": (
+        OF_313 | {"imported": imported("D1", zju_order(21), "dynacap")},
+        ["imported from another layout, dynacap"],
+    ),
     "nothing known": (OF_313 | {"imported": None}, ["does not record what it was imported from"]),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", DIFFERENCES)

@@ -70,7 +70,8 @@ class Growth:
         reach = f"{min(self.x):,g} to {max(self.x):,g} {raised}"
         if self.level:
             spread = max(self.y) / min(self.y)
-            return f"{cost} hardly changes from {reach}: {np.median(self.y):.3g} {unit}, within a factor of {spread:.2f}."
+            median = f"{np.median(self.y):.3g} {unit}"
+            return f"{cost} hardly changes from {reach}: {median}, within a factor of {spread:.2f}."
         fixed = "" if self.fixed < 0.01 * min(self.y) else f" above a fixed {self.fixed:.2g} {unit}"
         details = (
             f"rms deviation {100 * self.residual:.0f} %; {self.y[0]:.3g} to {self.y[-1]:.3g} {unit}; "
@@ -78,10 +79,11 @@ class Growth:
         )
         if self.levels_off:
             return (
-                f"{cost} levels off from {reach}: the fitted power {self.exponent:.2f}{fixed} overstates its end, "
-                f"where the last two points have slope {self.end:.2f} ({details})."
+                f"{cost} levels off from {reach}: the fitted power {self.exponent:.2f}{fixed} overstates its "
+                f"end, where the last two points have slope {self.end:.2f} ({details})."
             )
-        return f"{cost} grows with the power {self.exponent:.2f} of the {raised}{fixed}, from {reach} ({details})."
+        power = f"the power {self.exponent:.2f} of the {raised}{fixed}"
+        return f"{cost} grows with {power}, from {reach} ({details})."
 
 
 def fit_growth(x: Sequence[float], y: Sequence[float]) -> Growth:

@@ -12,7 +12,8 @@ import mitsuba as mi
 T = TypeVar("T")
 
 MEANING = (
-    "the peak of Dr.Jit's allocations while rendering, minus what was allocated before; blocks that it keeps for reuse count. "
+    "the peak of Dr.Jit's allocations while rendering, minus what was allocated before; blocks that it keeps "
+    "for reuse count. "
     "It excludes ray tracing acceleration structures, numpy arrays and compiled kernels."
 )
 

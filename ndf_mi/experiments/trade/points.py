@@ -83,7 +83,7 @@ class Variant:
 
 
 def rendering_points(preset: Preset) -> list[Point]:
-    """The points that need no training, of the axes `RENDERING` and `PATHS`; the first is the usual setting."""
+    """The points of the axes `RENDERING` and `PATHS`, which need no training; the usual setting is first."""
     usual = Setting()
     turned: list[tuple[str, str, str, dict[str, Any]]] = []
     turned += [("samples", f"samples-{n}", f"{n} samples", {"samples": n}) for n in (8, 16, 32, 64, 256, 512)]

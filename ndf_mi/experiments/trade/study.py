@@ -1,4 +1,4 @@
-"""The study of the trade of speed for accuracy: every point trained if need be, rendered, measured and timed."""
+"""The study of the trade of speed for accuracy: its points are trained, rendered, measured and timed."""
 
 from __future__ import annotations
 

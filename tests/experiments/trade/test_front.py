@@ -15,9 +15,14 @@ def test_the_front_is_what_no_other_point_beats(seed):
     front = pareto_front(cost, quality)
 
     def beaten(i):
-        return any(cost[j] <= cost[i] and quality[j] >= quality[i] and (cost[j], quality[j]) != (cost[i], quality[i]) for j in range(40))
+        return any(
+            cost[j] <= cost[i] and quality[j] >= quality[i] and (cost[j], quality[j]) != (cost[i], quality[i])
+            for j in range(40)
+        )
 
-    assert {(cost[i], quality[i]) for i in front} == {(cost[i], quality[i]) for i in range(40) if not beaten(i)}
+    assert {(cost[i], quality[i]) for i in front} == {
+        (cost[i], quality[i]) for i in range(40) if not beaten(i)
+    }
     assert len(front) == len({(cost[i], quality[i]) for i in front})
     assert (np.diff(cost[front]) > 0).all() and (np.diff(quality[front]) > 0).all()
 
@@ -39,7 +44,9 @@ def test_the_knee_is_where_a_bent_line_bends():
     # The one of 1 − e^−5x over x from 0 to 1, from which its chord is taken, lies at x = ln(5 / (1 − e⁻⁵)) /
     # 5.
     x = np.linspace(0, 1, 1001)
-    assert x[knee(np.exp(x), 1 - np.exp(-5 * x))] == pytest.approx(math.log(5 / (1 - math.exp(-5))) / 5, abs=1e-3)
+    assert x[knee(np.exp(x), 1 - np.exp(-5 * x))] == pytest.approx(
+        math.log(5 / (1 - math.exp(-5))) / 5, abs=1e-3
+    )
 
 
 def test_there_is_no_knee_in_a_straight_line_or_two_points():

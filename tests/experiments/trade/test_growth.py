@@ -8,7 +8,9 @@ from ndf_mi.experiments.trade.growth import fit_growth
 X = np.array([8.0, 16, 32, 64, 128, 256, 512])
 
 
-@pytest.mark.parametrize(("fixed", "factor", "exponent"), [(0.0, 2e-3, 1.0), (0.1, 1e-3, 1.0), (0.5, 1e-5, 2.0), (0.02, 0.01, 0.5)])
+@pytest.mark.parametrize(
+    ("fixed", "factor", "exponent"), [(0.0, 2e-3, 1.0), (0.1, 1e-3, 1.0), (0.5, 1e-5, 2.0), (0.02, 0.01, 0.5)]
+)
 def test_finds_the_power_above_what_is_fixed(fixed, factor, exponent):
     growth = fit_growth(X, fixed + factor * X**exponent)
     assert growth.exponent == pytest.approx(exponent, abs=0.02)
@@ -39,7 +41,9 @@ def test_what_levels_off_is_told_so():
     assert not any(fit_growth(X, y).levels_off for y in (X**0.5, 5 + X, np.full(len(X), 3.0)))
 
 
-@pytest.mark.parametrize(("x", "y"), [([1, 2], [1, 2]), ([1, 2, 2], [1, 2, 3]), ([0, 1, 2], [1, 2, 3]), ([1, 2, 3], [1, 0, 3])])
+@pytest.mark.parametrize(
+    ("x", "y"), [([1, 2], [1, 2]), ([1, 2, 2], [1, 2, 3]), ([0, 1, 2], [1, 2, 3]), ([1, 2, 3], [1, 0, 3])]
+)
 def test_too_little_is_refused(x, y):
     with pytest.raises(ValueError, match="three or more"):
         fit_growth(x, y)

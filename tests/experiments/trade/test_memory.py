@@ -27,10 +27,13 @@ def in_turns() -> list[mi.Float]:
     return [array(1.0)]
 
 
-@pytest.mark.parametrize(("draw", "arrays"), [
-    (lambda: [array(0.0)], 1), (lambda: [array(float(i)) for i in range(3)], 3), (in_turns, 1), (list, 0),
-])
-def test_the_most_that_was_allocated_beyond_what_lay_there(draw: Callable[[], list[mi.Float]], arrays: int) -> None:
+@pytest.mark.parametrize(
+    ("draw", "arrays"),
+    [(lambda: [array(0.0)], 1), (lambda: [array(float(i)) for i in range(3)], 3), (in_turns, 1), (list, 0)],
+)
+def test_the_most_that_was_allocated_beyond_what_lay_there(
+    draw: Callable[[], list[mi.Float]], arrays: int
+) -> None:
     before = [array(float(i)) for i in range(2)]
     # What is freed before is no memory of the next, and no room for it either.
     del before[1]
