@@ -1,20 +1,21 @@
-"""How time and memory of a picture grow with rays, samples, triangles, frames and the networks' width, each over a decade or more.
+"""How time and memory of a picture grow with rays, samples, triangles, frames and the networks' width.
 
     python benchmarks/growth.py RUN -o growth --repeats 5
 
-Curves, all by quadrature, one raised and the rest held (`--size` pixels, 64 samples, the run's preset and frame):
+Each curve raises one quantity over a decade or more and keeps the rest: `--size` pixels, 64 samples, quadrature, the
+run's preset and frame.
 
-    rays        pictures of the run from 32 × 32 pixels on; counted are the rays that meet the body's box
+    rays        pictures of the run from 32 × 32 pixels on, by the number of rays that hit the body's box
     samples     candidate samples a ray
     triangles   a sphere of finer and finer triangles in place of the body, with the run's preset, untrained
-    posing      the same, only posing the body: boxes, cells and search tree
-    frames      so many successive frames of the run, each posed anew; poses are kept, up to 128 of them
+    posing      the same sphere, only posed: boxes, cells and search tree
+    frames      successive frames of the run, each posed for the first time; up to 128 poses are kept
     width       hidden layers of the networks, as cooperative vectors and as matrix products; untrained, each ray to its end
 
-Every point is measured once a repeat, all of all curves in an order drawn anew, after a round that compiles kernels. Seconds are medians.
-Memory is what Dr.Jit had allocated at most beyond what lay there before. Writes growth.csv and growth.html with plots and fits of
-y = fixed + factor·x^exponent, and prints a sentence a curve. A curve of fewer than three points, as that of a run's two frames, is in the
-table alone.
+After a round that compiles the kernels, every repeat measures each point of all curves once, in random order. Seconds are
+medians. Memory is the peak of Dr.Jit's allocations minus what was allocated before. The benchmark writes growth.csv and
+growth.html with plots and fits of y = fixed + factor·x^exponent, and prints a sentence for each curve. A curve of fewer than
+three points, such as the frames of a run that has two, appears in the table only.
 """
 
 from __future__ import annotations
@@ -54,13 +55,13 @@ from ndf_mi.reports.page import Fact, write_page  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 CURVES = ("rays", "samples", "triangles", "posing", "frames", "width")
-#: What is raised, where the curve does not have its name.
+# The quantity that is raised, where the curve has another name.
 RAISED = {"posing": "triangles", "width, fused": "width", "width, batched": "width"}
 
 
 @dataclass(frozen=True)
 class Options:
-    """What is measured."""
+    """Options of the benchmark."""
 
     run: Annotated[Path, tyro.conf.Positional]
     """A trained run."""
@@ -69,18 +70,18 @@ class Options:
     """Folder for the table and the plots."""
 
     curves: tuple[str, ...] = CURVES
-    """Which curves."""
+    """The curves to measure."""
 
     size: int = 128
-    """Pixels on a side where they are not what is raised."""
+    """Width and height in pixels, except for the curve `rays`."""
 
     repeats: int = 5
-    """Times that every point is timed."""
+    """How often every point is timed."""
 
 
 @dataclass
 class Point:
-    """One point of a curve: what is raised, and what is timed there."""
+    """One point of a curve: the value of the raised quantity, and the work that is timed."""
 
     curve: str
     x: float
@@ -112,7 +113,7 @@ def main(options: Options) -> None:
 
 
 def rays(run: Run) -> list[Point]:
-    """Larger and larger pictures."""
+    """Pictures of increasing size."""
     found = []
     for size in (32, 48, 64, 96, 128, 192, 256, 384, 512):
         camera = framing(run.poses.vertices[0], size, size)
@@ -122,12 +123,12 @@ def rays(run: Run) -> list[Point]:
 
 
 def samples(run: Run, camera: Camera) -> list[Point]:
-    """More and more samples a ray."""
+    """Pictures with more and more samples a ray."""
     return [Point("samples", n, lambda n=n: draw(run, camera, Setting(n))) for n in (8, 16, 32, 64, 128, 256, 512, 1024)]
 
 
 def triangles(run: Run, size: int, posing: bool) -> list[Point]:
-    """Spheres as large as a person is wide, of finer and finer triangles."""
+    """Spheres as large as a person is wide, with finer and finer triangles."""
     found = []
     for subdivisions in range(2, 8):
         ball = sphere(run, subdivisions)
@@ -141,7 +142,7 @@ def triangles(run: Run, size: int, posing: bool) -> list[Point]:
 
 
 def frames(run: Run, size: int) -> list[Point]:
-    """Successive frames, from a run that has posed none yet."""
+    """Successive frames of a run that has not posed any of them."""
     numbers = [int(frame) for frame in run.poses.frames]
     return [Point("frames", n, lambda n=n: sequence(run, numbers[:n], size)) for n in (1, 2, 4, 8, 16, 32) if n <= len(numbers)]
 
@@ -164,13 +165,13 @@ def draw(run: Run, camera: Camera, setting: Setting) -> None:
 
 
 def pose(run: Run, vertices: mi.Float) -> None:
-    """The body at a pose, with all that searches need."""
+    """Poses the body and makes everything that searches need."""
     surface = PosedSurface(run.model.surface, vertices, run.model.band)
     dr.eval(surface.bbox.min, surface.closest(mi.Point3f(0.0, 0.0, 0.0), mi.Bool(True)))
 
 
 def sequence(run: Run, numbers: list[int], size: int) -> None:
-    """Pictures of frames, by a run that shares the field but has kept no pose."""
+    """Pictures of frames, from a run that shares the field but keeps no poses yet."""
     fresh = Run(run.path, run.config, run.body, run.poses, run.model)
     for number in numbers:
         camera = framing(run.poses.vertices[run.poses.index(number)], size, size)
@@ -183,7 +184,7 @@ def sphere(run: Run, subdivisions: int) -> Run:
     vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
     corners = vertices[faces.ravel()] / 0.3
     u = (0.5 + np.arctan2(corners[:, 0], corners[:, 2]) / (2 * np.pi)).reshape(-1, 3)
-    # Triangles across the meridian where u jumps go on beyond 1.
+    # Triangles that cross the meridian where u jumps continue beyond 1.
     u[(u.max(1) - u.min(1) > 0.5)[:, None] & (u < 0.5)] += 1
     uv = np.stack([u.ravel() / 1.5, 0.5 + np.arcsin(np.clip(corners[:, 1], -1, 1)) / np.pi], -1)
     body = Body(faces=faces, uv=np.clip(uv, 0, 1).astype(np.float32), uv_faces=np.arange(faces.size, dtype=np.int32).reshape(-1, 3),
@@ -195,7 +196,7 @@ def sphere(run: Run, subdivisions: int) -> Run:
 
 
 def write(points: list[Point], options: Options) -> None:
-    """The table, the page, and the sentences on the terminal."""
+    """Writes table and page, and prints the sentences."""
     stream = io.StringIO()
     sheet = csv.writer(stream, lineterminator="\n")
     sheet.writerow(["curve", "x", "seconds", "seconds_least", "seconds_most", "peak_bytes"])
