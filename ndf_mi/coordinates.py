@@ -20,6 +20,9 @@ class Coordinates(Protocol):
     """A point of the band as numbers in a unit cube, as many as the preset's `dimension`; attached to
     `located` and to the point."""
 
+    barycentric: bool
+    """Whether they use barycentric coordinates of the closest point."""
+
     def __call__(self, x: mi.Point3f, located: Located, active: mi.Bool) -> list[mi.Float]:
         """Coordinates of the points `x`, which lie at `located`; constants in inactive lanes."""
         ...
@@ -47,6 +50,8 @@ class Distance:
 class TexturePoint:
     """(u*, v*, l*): texture coordinates of the closest point, and the distance from it, as in the paper."""
 
+    barycentric = False
+
     def __init__(self, preset: Preset) -> None:
         self._distance = Distance(preset)
 
@@ -65,6 +70,8 @@ class SurfacePoint:
         rest: (V, 3) vertices of the body at rest, in metres.
     """
 
+    barycentric = True
+
     def __init__(self, preset: Preset, faces: np.ndarray, rest: np.ndarray) -> None:
         self._distance = Distance(preset)
         low, extent = _cube(rest)
@@ -82,6 +89,8 @@ class SurfacePoint:
 class World:
     """(x, y, z) itself, scaled by one factor so that all poses' bodies with their bands lie in the unit cube;
     clamped to it."""
+
+    barycentric = False
 
     def __init__(self, preset: Preset, poses: Poses) -> None:
         self._low, self._extent = _cube(poses.vertices.reshape(-1, 3), preset.band)

@@ -100,6 +100,8 @@ class PosedModel:
         with dr.suspend_grad():
             found = self.surface.project(x, active)
             located = self._located(found)
+            if not self._coordinates.barycentric:
+                located.barycentric = dr.zeros(mi.Point3f)
             if self._occupancy is not None:
                 kept, located.weight = self._occupancy.keep(self.unit(found.uv, found.l))
                 located.valid &= kept

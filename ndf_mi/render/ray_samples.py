@@ -156,7 +156,8 @@ def _thinned(index: mi.UInt32, located: Located, keep: mi.Bool) -> tuple[mi.UInt
     many these are."""
     lane, real, count = compact(keep)
     index, located = dr.gather(mi.UInt32, index, lane), dr.gather(Located, located, lane)
-    dr.eval(index, located, real)
+    # Kernels that use `located` gather it themselves, which costs less than a kernel that only copies.
+    dr.eval(index, real)
     return index, located, real, count
 
 
