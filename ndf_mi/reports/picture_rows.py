@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from ndf_mi.experiments.records import Results, View
 from ndf_mi.reports import tables
 from ndf_mi.reports.pictures import PictureRow, Shot, absolute_error, body_window, error_scale, view_row
 
-#: Views of each split that are shown.
+#: How many views of a split are shown; one of the splits that are not listed.
 VIEWS: Mapping[str, int] = {"novel_view": 4, "novel_pose": 4}
 
 
@@ -85,5 +85,5 @@ def method_shots(results: Results, capture: Capture, pictures: Path, view: View)
 
 def _shots(results: Results, capture: Capture, pictures: Path, view: View) -> list[Shot]:
     truth = truth_shot(capture, view)
-    found = method_shots(results, capture, pictures, view)
-    return [truth, *(Shot(s.label, s.image, s.caption, absolute_error(truth.image, s.image)) for s in found)]
+    shots = method_shots(results, capture, pictures, view)
+    return [truth, *(replace(shot, error=absolute_error(truth.image, shot.image)) for shot in shots)]

@@ -73,10 +73,15 @@ def view_row(shots: Sequence[Shot], view: View, top: float = 1.0, reference: str
         reference: what the errors refer to.
     """
     where = f"camera {view.camera}, frame {view.frame}"
-    images, errors = [], []
+    images: list[Picture] = []
+    errors: list[tuple[Picture, ...]] = []
     for shot in shots:
         images.append(picture(shot.image, f"{shot.label}: {where}; {shot.caption}", shot.label, shot.caption))
-        errors.append(() if shot.error is None else (_error_picture(shot, where, top, reference),))
+        errors.append(())
+        if shot.error is not None:
+            caption = f"mean {shot.error.mean():.3f}, scale 0 to {top:g}"
+            alt = f"Error map of {shot.label} against {reference}: {where}; {caption}"
+            errors[-1] = (picture(error_map(shot.error, top), alt, f"Error: {shot.label}", caption),)
     height, width = shots[0].image.shape[:2]
     if width <= NARROW * height and len(shots) <= FEW:
         return PictureRow((*((image,) for image in images), *filter(None, errors)))
@@ -141,10 +146,3 @@ def gradient() -> str:
     """The colour map as a CSS gradient from low to high."""
     stops = (matplotlib.colors.to_hex(matplotlib.colormaps[COLOUR_MAP](step / 8)) for step in range(9))
     return f"linear-gradient(to right, {', '.join(stops)})"
-
-
-def _error_picture(shot: Shot, where: str, top: float, reference: str) -> Picture:
-    assert shot.error is not None
-    caption = f"mean {shot.error.mean():.3f}, scale 0 to {top:g}"
-    alt = f"Error map of {shot.label} against {reference}: {where}; {caption}"
-    return picture(error_map(shot.error, top), alt, f"Error: {shot.label}", caption)
