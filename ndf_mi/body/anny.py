@@ -138,15 +138,11 @@ def _garment(model: _Model, name: str) -> Garment:
     vertices, faces = np.unique(group.faces, return_inverse=True)
     corners, uv_faces = np.unique(group.uv_faces, return_inverse=True)
     shape = (-1, 3)
-    return Garment(
-        name=name,
-        faces=faces.reshape(shape).astype(np.int32),
-        uv=model.uv[corners].astype(np.float32),
-        uv_faces=uv_faces.reshape(shape).astype(np.int32),
-        template=model.template[vertices].astype(np.float32),
-        weights=model.weights[vertices].astype(np.float32),
-        shape_dirs=model.shape_dirs[vertices].astype(np.float32),
-    )
+    return Garment(name=name, faces=faces.reshape(shape).astype(np.int32),
+                   uv=model.uv[corners].astype(np.float32), uv_faces=uv_faces.reshape(shape).astype(np.int32),
+                   template=model.template[vertices].astype(np.float32),
+                   weights=model.weights[vertices].astype(np.float32),
+                   shape_dirs=model.shape_dirs[vertices].astype(np.float32))
 
 
 @functools.cache
@@ -175,17 +171,11 @@ def _read_model(data: Path) -> _Model:
     names = _ordered(rig)
     parents = [rig[name]["parent"] for name in names]
     regressor = np.stack([_strategy(rig[name]["head"], groups, len(base)) for name in names])
-    return _Model(
-        groups=groups,
-        uv=uv,
-        template=template,
-        shape_dirs=dirs,
-        joint_names=names,
-        parents=np.array([names.index(parent) if parent else -1 for parent in parents], np.int32),
-        joints=(regressor @ template).astype(np.float32),
-        joint_dirs=np.einsum("jv,vcb->jcb", regressor, dirs).astype(np.float32),
-        weights=_weights(data / "rigs" / "standard" / "weights.cmu_mb.json", names, len(base)),
-    )
+    return _Model(groups=groups, uv=uv, template=template, shape_dirs=dirs, joint_names=names,
+                  parents=np.array([names.index(parent) if parent else -1 for parent in parents], np.int32),
+                  joints=(regressor @ template).astype(np.float32),
+                  joint_dirs=np.einsum("jv,vcb->jcb", regressor, dirs).astype(np.float32),
+                  weights=_weights(data / "rigs" / "standard" / "weights.cmu_mb.json", names, len(base)))
 
 
 def _shapes(count: int, target: Callable[[str], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -72,16 +72,10 @@ class Clip:
         weights = np.repeat(part, len(self.parents))[:, None]
         rotations = (first * Rotation.from_rotvec(turn.as_rotvec() * weights)).as_matrix()
         step = part[:, None, None]
-        return Clip(
-            self.name,
-            self.joint_names,
-            self.parents,
-            self.offsets,
-            self.end_sites,
-            float(np.mean(np.diff(times))) if len(times) > 1 else self.frame_time,
-            (1 - step) * self.positions[before] + step * self.positions[after],
-            rotations.reshape(len(times), -1, 3, 3),
-        )
+        return Clip(self.name, self.joint_names, self.parents, self.offsets, self.end_sites,
+                    float(np.mean(np.diff(times))) if len(times) > 1 else self.frame_time,
+                    (1 - step) * self.positions[before] + step * self.positions[after],
+                    rotations.reshape(len(times), -1, 3, 3))
 
     def forward(self) -> tuple[np.ndarray, np.ndarray]:
         """World rotations (T, J, 3, 3) and joint positions (T, J, 3)."""
@@ -250,16 +244,9 @@ def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
             raise InputError(reader.where, f"{len(words)} numbers", f"{width}, one for each channel")
         values[frame] = _numbers(reader.where, words, labels, frame + 1)
     positions, rotations = _decode(skeleton, values)
-    return Clip(
-        name=reader.path.stem,
-        joint_names=tuple(skeleton.names),
-        parents=np.array(skeleton.parents, dtype=np.int32),
-        offsets=np.array(skeleton.offsets),
-        end_sites=skeleton.ends,
-        frame_time=frame_time,
-        positions=positions,
-        rotations=rotations,
-    )
+    return Clip(name=reader.path.stem, joint_names=tuple(skeleton.names),
+                parents=np.array(skeleton.parents, dtype=np.int32), offsets=np.array(skeleton.offsets),
+                end_sites=skeleton.ends, frame_time=frame_time, positions=positions, rotations=rotations)
 
 
 def _numbers(where: str, words: list[str], labels: list[str], frame: int) -> np.ndarray:

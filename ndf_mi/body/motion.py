@@ -69,15 +69,9 @@ def load_clip(name_or_path: str | os.PathLike[str]) -> Clip:
     return read_bvh(name_or_path)
 
 
-def retarget(
-    body: Body,
-    clip: Clip,
-    times: np.ndarray | Sequence[float] | None = None,
-    *,
-    shape: np.ndarray | Sequence[float] | None = None,
-    place: Place = "world",
-    alike: Collection[str] = (),
-) -> Motion:
+def retarget(body: Body, clip: Clip, times: np.ndarray | Sequence[float] | None = None, *,
+             shape: np.ndarray | Sequence[float] | None = None, place: Place = "world",
+             alike: Collection[str] = ()) -> Motion:
     """Plays ``clip`` on ``body``.
 
     World rotations are copied joint by joint, after the rest directions of the limbs are aligned (`AIMS`).
@@ -115,16 +109,9 @@ def retarget(
     return Motion(played.pose, played.root_rotation, path.astype(np.float32))
 
 
-def pose_sequence(
-    body: Body,
-    clip: Clip,
-    frames: Sequence[int] | np.ndarray | None = None,
-    *,
-    rate: float = 30.0,
-    first: int = 0,
-    shape: np.ndarray | Sequence[float] | None = None,
-    place: Place = "world",
-) -> Poses:
+def pose_sequence(body: Body, clip: Clip, frames: Sequence[int] | np.ndarray | None = None, *,
+                  rate: float = 30.0, first: int = 0, shape: np.ndarray | Sequence[float] | None = None,
+                  place: Place = "world") -> Poses:
     """`Poses` of ``body`` playing ``clip``, skinned; frame f shows the clip at (f - first)/rate seconds.
 
     Args:

@@ -62,16 +62,9 @@ class Performance:
         return flat.numpy().reshape(-1, 3)
 
 
-def read_performance(
-    source: str | os.PathLike[str],
-    body: Body,
-    poses: Poses,
-    *,
-    shape: np.ndarray | None = None,
-    fps: float | None = None,
-    place: Place = "world",
-    up: Up | None = None,
-) -> Performance:
+def read_performance(source: str | os.PathLike[str], body: Body, poses: Poses, *,
+                     shape: np.ndarray | None = None, fps: float | None = None, place: Place = "world",
+                     up: Up | None = None) -> Performance:
     """Reads a motion file, or a clip of the package by its name, and plays it on a body.
 
     Args:

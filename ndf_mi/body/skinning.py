@@ -52,13 +52,8 @@ class SkinnedVertices:
         pose_dirs: (N, 3, 9·(J-1)) or None.
     """
 
-    def __init__(
-        self,
-        template: np.ndarray,
-        weights: np.ndarray,
-        shape_dirs: np.ndarray | None = None,
-        pose_dirs: np.ndarray | None = None,
-    ) -> None:
+    def __init__(self, template: np.ndarray, weights: np.ndarray, shape_dirs: np.ndarray | None = None,
+                 pose_dirs: np.ndarray | None = None) -> None:
         self.count = len(template)
         most = max(1, int((weights != 0).sum(1).max(initial=0)))
         joints = np.argsort(-weights, axis=1, kind="stable")[:, :most]

@@ -32,12 +32,8 @@ _REQUIRED = _KEYS[:5]
 _NO_PARENT = (-1, 2**32 - 1)
 
 
-def load_smpl(
-    path: str | os.PathLike[str],
-    uv: str | os.PathLike[str] | None = None,
-    shape_count: int = 10,
-    pose_blend_shapes: bool = True,
-) -> Body:
+def load_smpl(path: str | os.PathLike[str], uv: str | os.PathLike[str] | None = None, shape_count: int = 10,
+              pose_blend_shapes: bool = True) -> Body:
     """Reads an SMPL model file as a body, also SMPL-like models of other sizes (SMPL+H, animals).
 
     Args:

@@ -139,14 +139,8 @@ class Camera:
         """
         if not self.is_pinhole:
             raise ValueError(f"camera {self.name} has distortion or non-square pixels: use camera.pinhole()")
-        film: dict[str, Any] = {
-            "type": "hdrfilm",
-            "width": self.w,
-            "height": self.h,
-            "pixel_format": "rgba",
-            "component_format": "float32",
-            "rfilter": {"type": rfilter},
-        }
+        film: dict[str, Any] = {"type": "hdrfilm", "width": self.w, "height": self.h, "pixel_format": "rgba",
+                                "component_format": "float32", "rfilter": {"type": rfilter}}
         if crop is not None:
             names = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
             film.update(zip(names, map(int, crop), strict=True))

@@ -109,11 +109,8 @@ class Capture:
         splits = [split for split in self.splits.values() if camera in split.cameras]
         if not any(frame in split.frames for split in splits):
             known = sorted({f for split in splits for f in split.frames})
-            raise InputError(
-                self.path / FILE_NAME,
-                f"no frame {frame} of camera {camera} in any split",
-                f"one of {frame_ranges(known)}" if known else "a camera of a split",
-            )
+            raise InputError(self.path / FILE_NAME, f"no frame {frame} of camera {camera} in any split",
+                             f"one of {frame_ranges(known)}" if known else "a camera of a split")
         return frame
 
 

@@ -73,14 +73,9 @@ def import_capture(
     vertices, lines = _vertices(source, body, fits, smpl, frames)
     turn = fits.upright()
     fits = fits.turned(turn)
-    poses = Poses(
-        frames=np.array(frames, dtype=np.int32),
-        vertices=(vertices @ turn.T).astype(np.float32),
-        pose=fits.pose,
-        root_rotation=fits.root_rotation,
-        translation=fits.translation,
-        shape=_shape(fits, body),
-    )
+    poses = Poses(frames=np.array(frames, dtype=np.int32), vertices=(vertices @ turn.T).astype(np.float32),
+                  pose=fits.pose, root_rotation=fits.root_rotation, translation=fits.translation,
+                  shape=_shape(fits, body))
     poses.check(body)
     cameras = {name: _raw_camera(source, name, turn) for name in {name for name, _ in source.images}}
     with _staged(out) as stage:
@@ -158,15 +153,8 @@ def _document(source: Source, raw: dict[str, Camera], scale: float) -> Document:
     return Document(source.name, BACKGROUND, cameras, source.splits, imported=imported)
 
 
-def _write(
-    source: Source,
-    writer: CaptureWriter,
-    body: Body,
-    poses: Poses,
-    raw: dict[str, Camera],
-    scale: float,
-    progress: Callable[[int, int], None],
-) -> None:
+def _write(source: Source, writer: CaptureWriter, body: Body, poses: Poses, raw: dict[str, Camera],
+           scale: float, progress: Callable[[int, int], None]) -> None:
     done = 0
     for name in writer.document.cameras:
         rectifier = Rectifier(raw[name], scale)

@@ -122,11 +122,9 @@ class Selection:
         for option, chosen in (("train_cameras", train), ("test_cameras", test)):
             if not chosen:
                 raise InputError(f"--{option.replace('_', '-')}", "no camera", f"some of {', '.join(names)}")
-        return {
-            "train": Split(tuple(train), tuple(view_frames[:: self.frames])),
-            "novel_view": Split(tuple(test), tuple(view_frames[:: self.test_frames])),
-            "novel_pose": Split(tuple(test), tuple(pose_frames[:: self.test_frames])),
-        }
+        return {"train": Split(tuple(train), tuple(view_frames[:: self.frames])),
+                "novel_view": Split(tuple(test), tuple(view_frames[:: self.test_frames])),
+                "novel_pose": Split(tuple(test), tuple(pose_frames[:: self.test_frames]))}
 
 
 @dataclass(frozen=True, eq=False)

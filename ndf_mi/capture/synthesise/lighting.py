@@ -122,12 +122,8 @@ def write(folder: Path, name: str = DEFAULT) -> str:
 
 
 def _glossy(roughness: float, specular: float, twosided: bool) -> dict[str, Any]:
-    bsdf = {
-        "type": "principled",
-        "base_color": {"type": "mesh_attribute", "name": "vertex_color"},
-        "roughness": roughness,
-        "specular": specular,
-    }
+    bsdf = {"type": "principled", "base_color": {"type": "mesh_attribute", "name": "vertex_color"},
+            "roughness": roughness, "specular": specular}
     return {"type": "twosided", "bsdf": bsdf} if twosided else bsdf
 
 

@@ -130,12 +130,9 @@ def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
     if _same_settings(out, made_with) and not overwrite:
         return
     if not overwrite:
-        raise InputError(
-            out,
-            "a capture made with other settings",
-            f"a new or empty folder, or one with the same settings in {SETTINGS_FILE}",
-            "Choose another folder, or replace the capture with --overwrite.",
-        )
+        raise InputError(out, "a capture made with other settings",
+                         f"a new or empty folder, or one with the same settings in {SETTINGS_FILE}",
+                         "Choose another folder, or replace the capture with --overwrite.")
     for folder in _OWN_FOLDERS:
         shutil.rmtree(out / folder, ignore_errors=True)
     for file in _OWN_FILES:
