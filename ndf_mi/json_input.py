@@ -14,6 +14,10 @@ from ndf_mi.errors import InputError
 
 T = TypeVar("T")
 
+_KINDS = {"int": "a whole number", "float": "a finite number", "str": "text", "bool": "true or false",
+          "array": "a list", "object": "an object"}
+"""The types in messages of msgspec, as other messages name them."""
+
 
 def load_json(path: Path) -> Any:
     """The value in a JSON file.
@@ -69,19 +73,37 @@ def validated(value: Any, kind: type[T], where: str, repair: str = "") -> T:
     """JSON values as an instance of `kind`, a msgspec Struct or another type that msgspec knows.
 
     Raises:
-        InputError: a value is missing, is of another type or unknown; its place is named behind `where`.
+        InputError: a value is missing, is of another type or out of range; its place follows `where`.
     """
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         text, _, place = str(error).partition(" - at `$")
         place = place.rstrip("`")
-        wrong = re.fullmatch("Expected `(.*)`, got `(.*)`", text)
         missing = re.fullmatch("Object missing required field `(.*)`", text)
-        found, expected = text[:1].lower() + text[1:], "a value of this format"
-        if wrong:
-            expected, found = wrong.groups()
         if missing:
             place, found, expected = f"{place}.{missing[1]}", "nothing", "a value"
+        elif text.startswith("Expected "):
+            expected, _, got = text.removeprefix("Expected ").partition(", got ")
+            # msgspec does not name the keys of dicts.
+            found = got.strip("`") if got and "[...]" in place else shown(_at(value, place))
+            expected = re.sub("`(.*?)`", _in_words, expected)
+        else:
+            found, expected = f"{text[:1].lower()}{text[1:]}", "a value of this format"
         at = place.lstrip(".") if ": " not in where else place
         raise InputError(f"{where}: {at}" if at != place else where + at, found, expected, repair) from None
+
+
+def _in_words(kinds: re.Match[str]) -> str:
+    """Types such as ``object | null`` in words; null is left out, since a key may be missing."""
+    return " or ".join(_KINDS.get(kind, kind) for kind in kinds[1].split(" | ") if kind != "null")
+
+
+def _at(value: Any, place: str) -> Any:
+    """The value at a place in JSON, such as ``.cameras[0].name``; the innermost that can be found."""
+    for key, index in re.findall(r"\.([^.\[]+)|\[(\d+)\]", place):
+        try:
+            value = value[key] if key else value[int(index)]
+        except (KeyError, IndexError, TypeError):
+            break
+    return value

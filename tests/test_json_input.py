@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import pytest
+from msgspec import Meta, Struct
 
 from ndf_mi.errors import InputError
-from ndf_mi.json_input import is_finite, load_json, number, shown
+from ndf_mi.json_input import is_finite, load_json, number, shown, validated
 
 
 def test_values_are_read(tmp_path):
@@ -55,3 +57,35 @@ def test_values_in_messages_are_short():
     assert shown("a") == '"a"'
     assert len(shown(list(range(1000)))) <= 60
     assert "list" in shown(deep)
+
+
+class Point(Struct):
+    x: float
+    name: Annotated[str, Meta(min_length=1)] = "a"
+
+
+class Path(Struct, forbid_unknown_fields=True):
+    points: list[Point]
+    closed: bool | None = None
+
+
+def test_values_become_structs():
+    path = validated({"points": [{"x": 1}], "closed": True}, Path, "file: path")
+    assert path.points == [Point(1.0)] and path.closed is True
+
+
+@pytest.mark.parametrize(("value", "facts"), [
+    ({"points": [{"x": 1}, {"x": "far"}]}, ["file: path.points[1].x", 'found "far"', "a finite number"]),
+    ({"points": [{"name": "b"}]}, ["file: path.points[0].x", "found nothing"]),
+    ({"points": [{"x": 10**400}]}, ["file: path.points[0].x", "out of range"]),
+    ({"points": [{"x": 1, "name": ""}]}, ["file: path.points[0].name", 'found ""', "text of length >= 1"]),
+    ({"points": {}}, ["file: path.points", "found {}", "a list"]),
+    ({"points": [], "closed": 1}, ["file: path.closed", "found 1", "true or false"]),
+    ({"points": [], "colour": 1}, ["file: path", "colour"]),
+    ([], ["file: path", "found []", "an object"]),
+])  # fmt: skip
+def test_what_is_wrong_is_named_with_its_place_and_value(value, facts):
+    with pytest.raises(InputError) as raised:
+        validated(value, Path, "file: path", "Write it again.")
+    assert all(fact in str(raised.value) for fact in facts), str(raised.value)
+    assert raised.value.repair == "Write it again."

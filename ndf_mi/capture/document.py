@@ -6,9 +6,10 @@ import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from ndf_mi.capture.camera import Camera, is_rotation
 from ndf_mi.capture.issues import Issues
@@ -25,6 +26,46 @@ MASK_PATTERN = "masks/{camera}/{frame:06d}.png"
 _DISTORTION = ("k1", "k2", "k3", "p1", "p2")
 #: Names that are folders on any system, inside the capture.
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
+
+
+Text = Annotated[str, Meta(min_length=1)]
+Finite = Annotated[float, Meta(ge=-1.7e308, le=1.7e308)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Step = Annotated[int, Meta(ge=1)]
+Pixels = Annotated[int, Meta(ge=1, le=2**31)]
+Focal = Annotated[float, Meta(ge=1e-6, le=1.7e308)]
+Row = tuple[Finite, Finite, Finite, Finite]
+
+
+class CameraEntry(Struct):
+    """A camera in ``capture.json``; the fields are those of `Camera`."""
+
+    name: Text
+    w: Pixels
+    h: Pixels
+    fl_x: Focal
+    fl_y: Focal
+    cx: Finite
+    cy: Finite
+    transform_matrix: tuple[Row, Row, Row, Row]
+    k1: Finite = 0.0
+    k2: Finite = 0.0
+    k3: Finite = 0.0
+    p1: Finite = 0.0
+    p2: Finite = 0.0
+
+
+class SplitEntry(Struct):
+    """A split in ``capture.json``."""
+
+    cameras: Annotated[tuple[str, ...], Meta(min_length=1)]
+    frames: Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
+
+
+class LightingEntry(Struct):
+    """The light in ``capture.json``: a Mitsuba scene, relative to the folder."""
+
+    scene: str
 
 
 @dataclass(frozen=True)
@@ -59,12 +100,12 @@ class Imported:
         scale: size of the imported images relative to those of the calibration.
     """
 
-    layout: str
-    subject: str
+    layout: Text
+    subject: Text
     cameras: tuple[str, ...]
-    frames: int
-    test_frames: int
-    scale: float
+    frames: Step
+    test_frames: Step
+    scale: Fraction
 
     def as_json(self) -> dict[str, Any]:
         """The entries as JSON values."""
@@ -132,18 +173,19 @@ def parse_document(folder: Path) -> tuple[Document | None, list[InputError]]:
     raw = _load(issues, folder)
     if raw is None or not _is_known(raw, issues):
         return None, issues.found
-    name = issues.text(raw.get("name"), "name")
+    name = issues.read(raw.get("name"), Text, "name")
     if raw.get("units") != "m":
         issues.add("units", shown(raw.get("units")), '"m"')
-    background = _background(raw.get("background"), issues)
-    patterns = [_pattern(raw.get(key), key, issues) for key in ("image_pattern", "mask_pattern")]
+    background = issues.read(raw.get("background"), tuple[Fraction, Fraction, Fraction], "background")
+    image_pattern, mask_pattern = (_pattern(raw.get(key), key, issues) for key in ("image_pattern",
+                                                                                   "mask_pattern"))
     cameras = _cameras(raw.get("cameras"), issues)
     splits = _splits(raw.get("splits"), cameras, issues)
     lighting = _lighting(raw.get("lighting"), folder, issues)
-    imported = _imported(raw.get("imported"), issues)
-    if issues.found or name is None or background is None or patterns[0] is None or patterns[1] is None:
+    imported = issues.read(raw.get("imported"), Imported | None, "imported")
+    if issues.found:
         return None, issues.found
-    return Document(name, background, cameras, splits, patterns[0], patterns[1], lighting, imported), []
+    return Document(name, background, cameras, splits, image_pattern, mask_pattern, lighting, imported), []
 
 
 def _load(issues: Issues, folder: Path) -> dict[str, Any] | None:
@@ -173,73 +215,41 @@ def _is_known(raw: dict[str, Any], issues: Issues) -> bool:
     return not issues.found
 
 
-def _background(value: Any, issues: Issues) -> tuple[float, float, float] | None:
-    if not isinstance(value, list) or len(value) != 3:
-        issues.add("background", shown(value), "[r, g, b], sRGB in [0, 1]")
-        return None
-    channels = [issues.number(channel, f"background[{i}]", 0, 1) for i, channel in enumerate(value)]
-    red, green, blue = channels
-    return None if red is None or green is None or blue is None else (red, green, blue)
-
-
-def _pattern(value: Any, key: str, issues: Issues) -> str | None:
-    text = issues.text(value, key)
-    if text is None:
-        return None
+def _pattern(value: Any, key: str, issues: Issues) -> str:
+    text = issues.read(value, Text, key) or ""
     try:
         names = {text.format(camera=camera, frame=frame) for camera in "ab" for frame in (1, 2)}
     except (KeyError, IndexError, ValueError, AttributeError, TypeError):
         names = set()
-    if len(names) != 4 or any(Path(name).is_absolute() or ".." in Path(name).parts for name in names):
+    if text and (len(names) != 4 or any(Path(n).is_absolute() or ".." in Path(n).parts for n in names)):
         issues.add(key, shown(text),
                    f'a relative path with {{camera}} and {{frame}}, such as "{IMAGE_PATTERN}"')
-        return None
     return text
 
 
 def _cameras(value: Any, issues: Issues) -> dict[str, Camera]:
-    if not isinstance(value, list) or not value:
-        issues.add("cameras", shown(value), "a list of cameras")
-        return {}
     cameras: dict[str, Camera] = {}
-    for i, entry in enumerate(value):
-        camera = _camera(entry, f"cameras[{i}]", issues)
-        if camera is not None and camera.name in cameras:
-            issues.add(f"cameras[{i}].name", shown(camera.name), "a different name for each camera")
-        elif camera is not None:
-            cameras[camera.name] = camera
+    entries = issues.read(value, Annotated[list[Any], Meta(min_length=1)], "cameras") or []
+    for i, raw in enumerate(entries):
+        key = f"cameras[{i}]"
+        entry = issues.read(raw, CameraEntry, key)
+        if entry is None:
+            continue
+        if not _NAME.fullmatch(entry.name):
+            issues.add(f"{key}.name", shown(entry.name),
+                       "letters, digits, '_', '-' and '.', for a folder's name")
+        elif entry.name in cameras:
+            issues.add(f"{key}.name", shown(entry.name), "a different name for each camera")
+        distortion = (entry.k1, entry.k2, entry.k3, entry.p1, entry.p2)
+        transform = _transform(entry.transform_matrix, f"{key}.transform_matrix", issues)
+        cameras[entry.name] = Camera(entry.name, entry.w, entry.h, entry.fl_x, entry.fl_y, entry.cx, entry.cy,
+                                     transform, distortion)
     return cameras
 
 
-def _camera(entry: Any, key: str, issues: Issues) -> Camera | None:
-    if not isinstance(entry, dict):
-        issues.add(key, shown(entry), "an object")
-        return None
-    before = len(issues.found)
-    name = issues.text(entry.get("name"), f"{key}.name")
-    if name is not None and not _NAME.fullmatch(name):
-        issues.add(f"{key}.name", shown(name), "letters, digits, '_', '-' and '.', for a folder's name")
-    expected = "a positive whole number of pixels"
-    w, h = (issues.whole(entry.get(side), f"{key}.{side}", expected) for side in "wh")
-    focal = [issues.number(entry.get(k), f"{key}.{k}", 1e-6) for k in ("fl_x", "fl_y")]
-    centre = [issues.number(entry.get(k), f"{key}.{k}") for k in ("cx", "cy")]
-    distortion = [issues.number(entry.get(k, 0.0), f"{key}.{k}") for k in _DISTORTION]
-    transform = _transform(entry.get("transform_matrix"), f"{key}.transform_matrix", issues)
-    if len(issues.found) > before:
-        return None
-    intrinsics: Any = (*focal, *centre)
-    fl_x, fl_y, cx, cy = intrinsics
-    return Camera(str(name), w, h, fl_x, fl_y, cx, cy, transform, tuple(distortion))  # type: ignore[arg-type]
-
-
-def _transform(value: Any, key: str, issues: Issues) -> np.ndarray:
-    try:
-        matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.empty(0)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        issues.add(key, shown(value), "4 x 4 finite numbers, from camera to world")
-    elif np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
+def _transform(rows: tuple[Row, Row, Row, Row], key: str, issues: Issues) -> np.ndarray:
+    matrix = np.array(rows, dtype=np.float64)
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-6:
         issues.add(f"{key}[3]", shown(matrix[3].tolist()), "[0, 0, 0, 1]")
     elif not is_rotation(matrix[:3, :3]):
         issues.add(key, "a matrix that is not a rotation and a translation", "a right-handed rigid motion")
@@ -247,69 +257,37 @@ def _transform(value: Any, key: str, issues: Issues) -> np.ndarray:
 
 
 def _splits(value: Any, cameras: dict[str, Camera], issues: Issues) -> dict[str, Split]:
-    if not isinstance(value, dict):
-        issues.add("splits", shown(value), f"an object of {', '.join(SPLITS)}")
-        return {}
-    for name in value:
+    splits = {name: Split() for name in SPLITS}
+    raw = issues.read(value, dict[str, Any], "splits") or {}
+    for name in raw:
         if name not in SPLITS:
             issues.add(f"splits.{name}", "a split of that name", f"only {', '.join(SPLITS)}")
-    if not value.get("train"):
-        issues.add("splits.train", shown(value.get("train")), "cameras and frames to train on")
-    splits = {name: _split(value[name], name, cameras, issues) for name in SPLITS if name in value}
-    return {name: splits.get(name, Split()) for name in SPLITS}
-
-
-def _split(value: Any, name: str, cameras: dict[str, Camera], issues: Issues) -> Split:
-    key = f"splits.{name}"
-    if not isinstance(value, dict):
-        issues.add(key, shown(value), '{"cameras": [names], "frames": [whole numbers]}')
-        return Split()
-    names, frames = value.get("cameras"), value.get("frames")
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-        issues.add(f"{key}.cameras", shown(names), "a list of cameras' names")
-        names = []
-    for unknown in sorted(set(names) - set(cameras)):
-        issues.add(f"{key}.cameras", shown(unknown),
-                   f"a camera of the capture ({', '.join(cameras) or 'none'})")
-    if not isinstance(frames, list) or not frames or not all(type(f) is int and f >= 0 for f in frames):
-        issues.add(f"{key}.frames", shown(frames), "a list of frame numbers, 0 or more")
-        frames = []
-    for what, values in (("cameras", names), ("frames", frames)):
-        if len(set(values)) != len(values):
-            issues.add(f"{key}.{what}", "an entry twice", "each entry once")
-    return Split(tuple(names), tuple(frames))
+    if not raw.get("train"):
+        issues.add("splits.train", shown(raw.get("train")), "cameras and frames to train on")
+    for name in [name for name in SPLITS if raw.get(name) is not None]:
+        key = f"splits.{name}"
+        entry = issues.read(raw[name], SplitEntry, key)
+        if entry is None:
+            continue
+        for unknown in sorted(set(entry.cameras) - set(cameras)):
+            issues.add(f"{key}.cameras", shown(unknown),
+                       f"a camera of the capture ({', '.join(cameras) or 'none'})")
+        for what, values in (("cameras", entry.cameras), ("frames", entry.frames)):
+            if len(set(values)) != len(values):
+                issues.add(f"{key}.{what}", "an entry twice", "each entry once")
+        splits[name] = Split(entry.cameras, entry.frames)
+    return splits
 
 
 def _lighting(value: Any, folder: Path, issues: Issues) -> str | None:
-    if value is None:
+    entry = issues.read(value, LightingEntry | None, "lighting")
+    if entry is None:
         return None
-    scene = value.get("scene") if isinstance(value, dict) else None
-    if not isinstance(scene, str) or Path(scene).is_absolute() or ".." in Path(scene).parts:
+    if Path(entry.scene).is_absolute() or ".." in Path(entry.scene).parts:
         issues.add("lighting", shown(value), '{"scene": "FILE.xml"}, relative to the folder')
-        return None
-    if not (folder / scene).is_file():
-        issues.add("lighting.scene", shown(scene), "a file in the folder of the capture")
-    return scene
-
-
-def _imported(value: Any, issues: Issues) -> Imported | None:
-    if value is None:
-        return None
-    if not isinstance(value, dict):
-        issues.add("imported", shown(value),
-                   "an object of layout, subject, cameras, frames, test_frames and scale")
-        return None
-    layout, subject = (issues.text(value.get(key), f"imported.{key}") for key in ("layout", "subject"))
-    names = value.get("cameras")
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        issues.add("imported.cameras", shown(names), "a list of cameras' names")
-        names = []
-    steps = [issues.whole(value.get(key), f"imported.{key}", "a whole number above 0")
-             for key in ("frames", "test_frames")]
-    scale = issues.number(value.get("scale"), "imported.scale", 0, 1)
-    if layout is None or subject is None or scale is None:
-        return None
-    return Imported(layout, subject, tuple(names), steps[0], steps[1], scale)
+    elif not (folder / entry.scene).is_file():
+        issues.add("lighting.scene", shown(entry.scene), "a file in the folder of the capture")
+    return entry.scene
 
 
 def _camera_as_json(camera: Camera) -> dict[str, Any]:

@@ -78,15 +78,15 @@ IMAGE = ("records", "m/image/novel_view/inf/000003", "value")
         (("format",), None, ["format", "found nothing"]),
         (("version",), 3, ["version 3", "version 2"]),
         (("study",), "tradeoff", ["'tradeoff'", "'comparison'"]),
-        (("records",), [], ["records", "array", "object"]),
+        (("records",), [], ["records", "found []", "object"]),
         (
             (*IMAGE, "seconds"), "fast",
-            ["m/image/novel_view/inf/000003", "value.seconds", "found str", "expected float"],
+            ["m/image/novel_view/inf/000003", "value.seconds", 'found "fast"', "a finite number"],
         ),
-        ((*IMAGE, "figures", "psnr"), True, ["value.figures", "found bool", "float"]),
+        ((*IMAGE, "figures", "psnr"), True, ["value.figures", "found bool", "number"]),
         ((*IMAGE, "view", "frame"), None, ["value.view.frame", "found nothing"]),
         ((*IMAGE, "kind"), "flicker", ["value.kind", "flicker"]),
-        ((*IMAGE[:2], "inputs"), "x", ["inputs", "found str", "object"]),
+        ((*IMAGE[:2], "inputs"), "x", ["inputs", 'found "x"', "object"]),
     ],
 )
 def test_a_damaged_file_is_refused_by_place(
