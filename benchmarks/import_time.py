@@ -2,8 +2,8 @@
 
     python benchmarks/import_time.py --repeats 15
 
-Imports each in fresh processes, alternately. Prints the medians of the seconds that `python -X importtime` reports, and
-their ratio. Exits with 1 where the ratio is 2 or more.
+Imports each in fresh processes, alternately. Prints the medians of the seconds that `python -X importtime`
+reports, and their ratio. Exits with 1 where the ratio is 2 or more.
 """
 
 from __future__ import annotations

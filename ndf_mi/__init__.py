@@ -36,7 +36,7 @@ def _on_variant(_old: str | None, new: str | None) -> None:
 try:
     import mitsuba as mi  # after ensure_llvm: Dr.Jit loads LLVM as soon as it is imported
 except (ImportError, NameError):  # Dr.Jit raises NameError where a system library is missing
-    pass  # `ndf-mi doctor` must run without Mitsuba; the modules that need it import it themselves, and fail there
+    pass  # `ndf-mi doctor` must run without Mitsuba; the modules that need it fail when they import it
 else:
     mi.detail.add_variant_callback(_on_variant)
     _on_variant(None, mi.variant())

@@ -17,8 +17,8 @@ _SRGB_TOE = 0.04045
 def linear_to_srgb(value: Any) -> Any:
     """Encodes linear intensities as sRGB.
 
-    Nothing is clamped: negative values stay on the linear toe, values above 1 continue the power law. The gradient is
-    finite everywhere (12.92 at 0).
+    Nothing is clamped: negative values stay on the linear toe, values above 1 continue the power law. The
+    gradient is finite everywhere (12.92 at 0).
 
     Args:
         value: a NumPy array, a number, or a Dr.Jit array or tensor of any shape.
@@ -27,16 +27,22 @@ def linear_to_srgb(value: Any) -> Any:
         the same type as `value`.
     """
     if _is_numpy(value):
-        return np.where(value <= _LINEAR_TOE, value * 12.92, 1.055 * np.maximum(value, _LINEAR_TOE) ** (1 / 2.4) - 0.055)
+        return np.where(
+            value <= _LINEAR_TOE, value * 12.92, 1.055 * np.maximum(value, _LINEAR_TOE) ** (1 / 2.4) - 0.055
+        )
     return dr.select(
-        value <= _LINEAR_TOE, value * 12.92, dr.fma(dr.power(dr.maximum(value, _LINEAR_TOE), 1 / 2.4), 1.055, -0.055)
+        value <= _LINEAR_TOE,
+        value * 12.92,
+        dr.fma(dr.power(dr.maximum(value, _LINEAR_TOE), 1 / 2.4), 1.055, -0.055),
     )
 
 
 def srgb_to_linear(value: Any) -> Any:
     """Decodes sRGB to linear intensities: the inverse of :func:`linear_to_srgb`, for the same types."""
     if _is_numpy(value):
-        return np.where(value <= _SRGB_TOE, value / 12.92, ((np.maximum(value, _SRGB_TOE) + 0.055) / 1.055) ** 2.4)
+        return np.where(
+            value <= _SRGB_TOE, value / 12.92, ((np.maximum(value, _SRGB_TOE) + 0.055) / 1.055) ** 2.4
+        )
     return dr.select(
         value <= _SRGB_TOE, value / 12.92, dr.power((dr.maximum(value, _SRGB_TOE) + 0.055) / 1.055, 2.4)
     )

@@ -119,7 +119,7 @@ def rewrite_arguments(arguments: Sequence[str], options: Iterable[DeprecatedOpti
     """A command line with deprecated options replaced by today's, each with a warning.
 
     Args:
-        arguments: a command's arguments, ``--name value`` or ``--name=value``; underscores in names count as hyphens.
+        arguments: of a command, ``--name value`` or ``--name=value``; underscores in names count as hyphens.
         options: the command's deprecated options.
 
     Raises:

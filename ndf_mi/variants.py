@@ -1,6 +1,6 @@
 """Mitsuba's variants: which one suits this machine, and setting it. No other module names a backend.
 
-The functions import Mitsuba and Dr.Jit themselves, so that this module can be imported where those are broken.
+The functions import Mitsuba and Dr.Jit themselves: this module can be imported where those are broken.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ def llvm_usable() -> bool:
 
 
 def fused_width() -> int:
-    """Width of networks up to which cooperative vectors are faster than matrix products over all samples, where
-    nothing is differentiated; 0 if they never are. Measured on the CPU; GPUs only have them in half precision."""
+    """Width of networks up to which cooperative vectors are faster than matrix products over all samples.
+
+    Measured on the CPU, where nothing is differentiated. 0 on GPUs, which only have them in half precision.
+    """
     mi = _working("mitsuba")
     return 64 if mi.variant() == LLVM else 0
 
@@ -45,10 +47,11 @@ def cooperative_precisions() -> tuple[str, ...]:
 
 
 def preferred() -> str:
-    """The variant that suits this machine: CUDA where a GPU is usable, else LLVM. ``NDF_MI_VARIANT`` overrides.
+    """The variant for this machine: CUDA where a GPU is usable, else LLVM. ``NDF_MI_VARIANT`` overrides.
 
     Raises:
-        InputError: the variable names an unsupported variant, no backend is usable, or Dr.Jit cannot be imported.
+        InputError: the variable names an unsupported variant, no backend is usable, or Dr.Jit cannot be
+            imported.
     """
     asked = os.environ.get(VARIABLE)
     if asked:
@@ -61,17 +64,17 @@ def preferred() -> str:
 
 
 def use(name: str | None = None) -> str:
-    """Sets the variant unless one is set already; returns the active one.
+    """Sets the variant unless one is already set; returns the active one.
 
-    On one core it gives Dr.Jit's thread pool a second thread: with one, Mitsuba waits forever when it reads or
-    writes EXR files.
+    On one core it gives Dr.Jit's thread pool a second thread: with one, Mitsuba waits forever when it reads
+    or writes EXR files.
 
     Args:
-        name: the variant wanted; None takes the active one, or :func:`preferred`.
+        name: the variant to set; None keeps the active one, or takes :func:`preferred`.
 
     Raises:
-        InputError: the variant is unsupported or does not work here, another one is active already, or Mitsuba cannot
-            be imported.
+        InputError: the variant is unsupported or does not work here, another one is already active, or
+            Mitsuba cannot be imported.
     """
     mi = _working("mitsuba")
     active = mi.variant()
@@ -93,7 +96,9 @@ def _checked(name: str, where: str) -> str:
     if name == LLVM and not llvm_usable():
         raise InputError(where, f"{LLVM} without a usable LLVM", NEEDED, llvm.install_command())
     if name == CUDA and not cuda_usable():
-        raise InputError(where, f"{CUDA} without a usable NVIDIA GPU", LLVM, f"unset {VARIABLE}, or install the driver")
+        raise InputError(
+            where, f"{CUDA} without a usable NVIDIA GPU", LLVM, f"unset {VARIABLE}, or install the driver"
+        )
     return name
 
 
@@ -102,8 +107,12 @@ def _working(package: str) -> Any:
         return importlib.import_module(package)
     except (ImportError, NameError) as error:  # Dr.Jit raises NameError where a system library is missing
         cause = error.__context__ or error
-        raise InputError(package, f"{cause}", "a package that can be imported", "Run `ndf-mi doctor`.") from error
+        raise InputError(
+            package, f"{cause}", "a package that can be imported", "Run `ndf-mi doctor`."
+        ) from error
 
 
 def _nothing_usable() -> InputError:
-    return InputError("this machine", "neither a usable LLVM nor an NVIDIA GPU", NEEDED, llvm.install_command())
+    return InputError(
+        "this machine", "neither a usable LLVM nor an NVIDIA GPU", NEEDED, llvm.install_command()
+    )

@@ -1,4 +1,4 @@
-"""Sets the variant once for all tests (``NDF_MI_VARIANT``, or what suits the machine); small runs for many tests."""
+"""Sets the variant for all tests: ``NDF_MI_VARIANT``, or what suits the machine. Small runs for tests."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RADIUS = 0.3
 
 
 def ball(frames: int = 3) -> tuple[Body, Poses]:
-    """A closed ball of radius 0.3 m around the origin with two joints, and poses that move it by 5 cm a frame along x."""
+    """A closed ball of radius 0.3 m around the origin with two joints, moved 5 cm a frame along x."""
     import trimesh
 
     from ndf_mi.body.body import Body
@@ -41,16 +41,23 @@ def ball(frames: int = 3) -> tuple[Body, Poses]:
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=RADIUS)
     vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces, np.int32)
     corners = vertices[faces.ravel()] / RADIUS
-    uv = np.stack([0.5 + np.arctan2(corners[:, 0], corners[:, 2]) / (2 * np.pi), 0.5 + np.arcsin(corners[:, 1]) / np.pi], -1)
+    longitude = np.arctan2(corners[:, 0], corners[:, 2]) / (2 * np.pi)
+    uv = np.stack([0.5 + longitude, 0.5 + np.arcsin(corners[:, 1]) / np.pi], -1)
     turn = uv[:, 0].reshape(-1, 3)
     turn[(turn.max(1) - turn.min(1) > 0.5)[:, None] & (turn < 0.5)] += 1
     uv = np.clip(np.stack([turn.ravel() / 1.2, uv[:, 1]], -1), 0, 1).astype(np.float32)
-    body = Body(faces=faces, uv=uv, uv_faces=np.arange(faces.size, dtype=np.int32).reshape(-1, 3), template=vertices)
+    uv_faces = np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+    body = Body(faces=faces, uv=uv, uv_faces=uv_faces, template=vertices)
     shift = 0.05 * np.arange(frames, dtype=np.float32)[:, None] * np.array([1, 0, 0], np.float32)
     pose = np.zeros((frames, 2, 3), np.float32)
     pose[:, 1, 2] = 0.3 * np.arange(frames)
-    return body, Poses(frames=np.arange(frames, dtype=np.int32), vertices=vertices + shift[:, None], pose=pose,
-                       root_rotation=np.zeros((frames, 3), np.float32), translation=shift)
+    return body, Poses(
+        frames=np.arange(frames, dtype=np.int32),
+        vertices=vertices + shift[:, None],
+        pose=pose,
+        root_rotation=np.zeros((frames, 3), np.float32),
+        translation=shift,
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -61,13 +68,14 @@ def _deprecations_warn_again() -> None:
 
 @pytest.fixture
 def make_run(tmp_path: Path) -> Callable[..., Run]:
-    """Makes a run around the ball in a temporary folder, from the `tiny` preset with changes; saved."""
+    """Makes and saves an untrained run around the ball: the preset `tiny` with changes."""
     from ndf_mi.field import preset
     from ndf_mi.run import Run
 
     def make(name: str = "run", seed: int = 1, frames: int = 3, **changes: Any) -> Run:
         body, poses = ball(frames)
-        run = Run.create(tmp_path / name, dataclasses.replace(preset("tiny"), **changes), body, poses, seed, background=[0.0, 0.0, 0.0])
+        changed = dataclasses.replace(preset("tiny"), **changes)
+        run = Run.create(tmp_path / name, changed, body, poses, seed, background=[0.0, 0.0, 0.0])
         run.save()
         return run
 
@@ -76,12 +84,16 @@ def make_run(tmp_path: Path) -> Callable[..., Run]:
 
 @pytest.fixture
 def make_constant_run(make_run: Callable[..., Run]) -> Callable[..., Run]:
-    """A run whose density is one number in the whole band, without fading, and whose colour is one sRGB colour."""
+    """Makes a run of constant density (1/m) in the whole band, without fading, and of one sRGB colour."""
     import mitsuba as mi
 
-    def make(sigma: float, srgb: tuple[float, float, float] = (0.5, 0.5, 0.5), name: str = "run", **changes: Any) -> Run:
-        # A limit, and with it a majorant, not far above: null collisions cost time.
-        run = make_run(name, band=0.08, band_inside=0.08, band_fade=0.0, **{"density_limit": 2 * sigma, **changes})
+    def make(
+        sigma: float, srgb: tuple[float, float, float] = (0.5, 0.5, 0.5), name: str = "run", **changes: Any
+    ) -> Run:
+        # The majorant follows the limit: null collisions cost time.
+        run = make_run(
+            name, band=0.08, band_inside=0.08, band_fade=0.0, **{"density_limit": 2 * sigma, **changes}
+        )
         field = run.model.field
         weights = run.parameters.weights.numpy()
         p = field.preset

@@ -1,4 +1,4 @@
-"""Which module of the package imports which, read from the sources. Imports for type checkers alone don't count."""
+"""Which module imports which, read from the sources. Imports only for type checkers don't count."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ def imports(name: str, file: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module is not None:
             assert node.level == 0, f"{name}: a relative import"
             # `from package import module` imports the module, and the package only to find it.
-            found |= {full if (full := f"{node.module}.{alias.name}") in MODULES else node.module for alias in node.names}
+            found |= {
+                full if (full := f"{node.module}.{alias.name}") in MODULES else node.module
+                for alias in node.names
+            }
     return {module for module in found if module in MODULES} - {name}
 
 

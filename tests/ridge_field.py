@@ -1,4 +1,4 @@
-"""A field whose density is a known function of the distance l alone: a ridge, with an exponential fall on both sides."""
+"""A field of known density: a ridge over the signed distance l that falls exponentially on both sides."""
 
 from __future__ import annotations
 
@@ -12,16 +12,32 @@ Density = Callable[[np.ndarray], np.ndarray]
 
 
 def make_ridge(
-    make_run: Callable[..., Any], name: str = "ridge", peak: float = 1.0, slope: float = 60.0, low: float = 0.01, high: float = 0.02,
-    srgb: tuple[float, float, float] = (1e-6,) * 3, **changes: Any,
+    make_run: Callable[..., Any],
+    name: str = "ridge",
+    peak: float = 1.0,
+    slope: float = 60.0,
+    low: float = 0.01,
+    high: float = 0.02,
+    srgb: tuple[float, float, float] = (1e-6,) * 3,
+    **changes: Any,
 ) -> tuple[Any, Density]:
     """A saved run around the ball, and its density in 1/m as a float64 function of l in metres.
 
-    σ = limit·(1 − exp(−gain·softplus(z) / limit))·fade, z = peak − slope·(max(l* − high*, 0) + max(low* − l*, 0)), where * maps
-    −`band_inside` … `band` to 0 … 1.
+    σ = limit·(1 − exp(−gain·softplus(z) / limit))·fade, z = peak − slope·(max(l* − high*, 0) + max(low* − l*, 0)),
+    where * maps −`band_inside` … `band` to 0 … 1.
     """
-    run = make_run(name, **{"encoding": "frequency", "octaves": 0, "deformation_layers": (), "density_bias": 0.0, "density_gain": 60.0,
-                            "density_limit": 200.0, **changes})
+    run = make_run(
+        name,
+        **{
+            "encoding": "frequency",
+            "octaves": 0,
+            "deformation_layers": (),
+            "density_bias": 0.0,
+            "density_gain": 60.0,
+            "density_limit": 200.0,
+            **changes,
+        },
+    )
     field, preset = run.model.field, run.model.field.preset
     weights = run.parameters.weights.numpy()
 
@@ -49,7 +65,9 @@ def make_ridge(
     def density(l: np.ndarray) -> np.ndarray:
         l = np.asarray(l, np.float64)
         z = peak - slope * (np.maximum(unit(l) - unit(high), 0) + np.maximum(unit(low) - unit(l), 0))
-        sigma = preset.density_limit * -np.expm1(-preset.density_gain * np.logaddexp(0, z) / preset.density_limit)
+        sigma = preset.density_limit * -np.expm1(
+            -preset.density_gain * np.logaddexp(0, z) / preset.density_limit
+        )
         if preset.band_fade > 0:
             for depth in ((preset.band - l) / preset.band, (preset.band_inside + l) / preset.band_inside):
                 s = np.clip(depth / preset.band_fade, 0, 1)

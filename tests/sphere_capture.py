@@ -1,4 +1,4 @@
-"""A tiny capture: a sphere with a known texture that moves, drawn by Mitsuba's path tracer as an area emitter."""
+"""A tiny capture: a moving sphere with a known texture, an area emitter that Mitsuba renders."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def sphere(rows: int = 24, columns: int = 32) -> Body:
     """A unit sphere whose texture has a seam along one meridian."""
     turn = 2 * np.pi * np.arange(columns) / columns
     theta, phi = np.meshgrid(np.linspace(0.05, np.pi - 0.05, rows), turn, indexing="ij")
-    vertices = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], -1).reshape(-1, 3)
+    vertices = np.stack(
+        [np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], -1
+    ).reshape(-1, 3)
     v, u = np.meshgrid(1 - np.arange(rows) / (rows - 1), np.arange(columns + 1) / columns, indexing="ij")
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
 
@@ -59,19 +61,26 @@ def ring_camera(name: str, angle: float, height: float = 0.4, size: int = SIZE) 
     return Camera(name, size, size, 1.5 * size, 1.5 * size, 0.51 * size, 0.48 * size, transform)
 
 
-def draw(body: Body, vertices: np.ndarray, camera: Camera, colours: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The truth: vertex colours need no texture lookup, so the method under test shares nothing with it but Mitsuba.
+def draw(
+    body: Body, vertices: np.ndarray, camera: Camera, colours: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Renders the truth from vertex colours: it shares only Mitsuba with what is tested.
 
     Args:
-        colours: (3·F, 3) sRGB of the triangles' corners, in the place of the known texture's.
+        colours: (3·F, 3) sRGB of the triangles' corners, instead of the known texture.
     """
     corners, uv = body.faces.ravel(), body.uv[body.uv_faces.ravel()]
     colours = known_texture(uv) if colours is None else colours
     properties = mi.Properties()
     radiance = {"type": "mesh_attribute", "name": "vertex_colour"}
     properties["emitter"] = mi.load_dict({"type": "area", "radiance": radiance})
-    mesh = make_mesh("truth", vertices[corners], np.arange(len(corners)).reshape(-1, 3),
-                     attributes={"vertex_colour": srgb_to_linear(colours)}, props=properties)
+    mesh = make_mesh(
+        "truth",
+        vertices[corners],
+        np.arange(len(corners)).reshape(-1, 3),
+        attributes={"vertex_colour": srgb_to_linear(colours)},
+        props=properties,
+    )
     scene = mi.load_dict({"type": "scene", "mesh": mesh, "integrator": {"type": "path", "max_depth": 1}})
     sensor = mi.load_dict(camera.sensor(spp=64, sampler="multijitter"))
     rgba = mi.render(scene, sensor=sensor, spp=64).numpy()
@@ -82,7 +91,7 @@ def draw(body: Body, vertices: np.ndarray, camera: Camera, colours: np.ndarray |
 
 @pytest.fixture(scope="session")
 def write_capture(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Writes the capture under a name; the name changes its digest."""
+    """Writes the capture under a name, which changes its digest."""
 
     def write(name: str) -> Path:
         body = sphere()
@@ -98,7 +107,9 @@ def write_capture(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], P
             "novel_view": Split(held, FRAMES[:2]),
             "novel_pose": Split(held, FRAMES[2:]),
         }
-        document = Document(name=name, background=BACKGROUND, cameras={c.name: c for c in cameras}, splits=splits)
+        document = Document(
+            name=name, background=BACKGROUND, cameras={c.name: c for c in cameras}, splits=splits
+        )
         writer = CaptureWriter(tmp_path_factory.mktemp("capture") / name, document)
         for camera, frame in document.images():
             index = FRAMES.index(frame)

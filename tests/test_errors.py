@@ -17,5 +17,8 @@ def test_prints_how_to_repair_it():
     error = InputError("LLVM", "15", "17 or newer", "apt-get install libllvm19")
     assert str(error).splitlines() == ["LLVM: found 15; expected 17 or newer", "  apt-get install libllvm19"]
     assert (error.where, error.found, error.expected, error.repair) == (
-        "LLVM", "15", "17 or newer", "apt-get install libllvm19",
+        "LLVM",
+        "15",
+        "17 or newer",
+        "apt-get install libllvm19",
     )

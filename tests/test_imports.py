@@ -1,4 +1,4 @@
-"""What `import ndf_mi` imports: nothing that only some work needs. benchmarks/import_time.py measures the time."""
+"""What `import ndf_mi` imports: nothing that only some work needs. See also benchmarks/import_time.py."""
 
 from __future__ import annotations
 
@@ -8,14 +8,33 @@ import sys
 import pytest
 
 #: Packages that only some work needs, by the names of their modules.
-HEAVY = {"scipy", "skimage", "trimesh", "tyro", "rich", "matplotlib", "tensorboardX", "imageio", "imageio_ffmpeg", "PIL", "igl", "OpenEXR",
-         "flip_evaluator"}
+HEAVY = {
+    "scipy",
+    "skimage",
+    "trimesh",
+    "tyro",
+    "rich",
+    "matplotlib",
+    "tensorboardX",
+    "imageio",
+    "imageio_ffmpeg",
+    "PIL",
+    "igl",
+    "OpenEXR",
+    "flip_evaluator",
+}
 
 
 def imported(before: str, code: str) -> set[str]:
     """The modules that `code` imports in a fresh process after `before`."""
-    program = f"import sys\n{before}\nknown = set(sys.modules)\n{code}\nprint(*sorted(set(sys.modules) - known))"
-    return set(subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split())
+    program = (
+        f"import sys\n{before}\nknown = set(sys.modules)\n{code}\nprint(*sorted(set(sys.modules) - known))"
+    )
+    return set(
+        subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, check=True
+        ).stdout.split()
+    )
 
 
 @pytest.fixture(scope="module")

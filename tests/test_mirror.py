@@ -61,7 +61,9 @@ def test_every_module_is_tested_in_the_mirror_of_its_package(part: str) -> None:
 
 
 def test_what_is_covered_elsewhere_is() -> None:
-    assert [name for name, file in ELSEWHERE.items() if name not in MODULES or not (TESTS / file).is_file()] == []
+    assert [
+        name for name, file in ELSEWHERE.items() if name not in MODULES or not (TESTS / file).is_file()
+    ] == []
 
 
 def test_every_folder_of_tests_mirrors_a_package() -> None:

@@ -15,7 +15,12 @@ from ndf_mi.commands import ENTRIES, find
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "scenes" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    ROOT / "scenes" / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+]
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/mitsuba.md"])
@@ -25,7 +30,9 @@ def test_python_runs_as_printed(make_run, tmp_path, page):
     text = (ROOT / page).read_text(encoding="utf-8")
     code = "\n".join(re.findall(r"```python\n(.*?)```", text, re.S)).replace("llvm_ad_rgb", mi.variant())
     assert "mi.load_file" in code
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "performer.png").stat().st_size > 100
 
@@ -44,11 +51,15 @@ def test_links_lead_somewhere(page):
         assert linked.exists(), target
         if anchor:
             headings = re.findall(r"^#+ (.*)$", linked.read_text(encoding="utf-8"), re.M)
-            assert anchor in {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}, target
+            assert anchor in {
+                re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings
+            }, target
 
 
 def test_every_command_has_a_line_in_the_manual():
     manual = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     named = re.findall(r"(?:^|`)ndf-mi ([a-z]+(?: (?:synthesise|check|import))?)", README + manual, re.M)
-    assert {entry.name for entry in ENTRIES} == {found.name for words in named if (found := find(words.split()))}
+    assert {entry.name for entry in ENTRIES} == {
+        found.name for words in named if (found := find(words.split()))
+    }
     assert not [words for words in named if find(words.split()) is None]

@@ -1,4 +1,6 @@
-"""A run trained for a few steps on the sphere."""
+"""A run that was trained for a few steps on the sphere."""
+
+from __future__ import annotations
 
 import dataclasses
 
@@ -12,9 +14,9 @@ from ndf_mi.run import Run
 
 @pytest.fixture(scope="session")
 def trained_run(capture, tmp_path_factory) -> Run:
+    """Its colours do not depend on the view direction, so that it can be put onto a grid."""
     options = TrainingOptions(steps=60, rays=256, samples=32, max_depth=3)
-    # Colours that no view direction enters can be put onto a lattice.
     small = dataclasses.replace(preset("tiny"), grid_levels=2, direction_octaves=-1)
-    trainer = start(tmp_path_factory.mktemp("trade") / "run", capture, small, options)
+    trainer = start(tmp_path_factory.mktemp("trained") / "run", capture, small, options)
     train(trainer, quiet=True)
     return Run.load(trainer.run.path)

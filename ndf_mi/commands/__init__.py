@@ -46,7 +46,7 @@ class Entry:
 
 ENTRIES = (
     Entry("doctor", "doctor", "Doctor", "report what works here, and how to repair the rest", variant=False),
-    Entry("capture synthesise", "capture_synthesise", "CaptureSynthesise", "render a synthetic performer's capture"),
+    Entry("capture synthesise", "capture_synthesise", "CaptureSynthesise", "render a synthetic capture"),
     Entry("capture check", "capture_check", "CaptureCheck", "report what is wrong with a capture"),
     Entry("capture import", "capture_import", "CaptureImport", "convert ZJU-MoCap or DynaCap into a capture"),
     Entry("plan", "plan", "PlanCapture", "find which parts of the model a capture needs, and why"),
@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def console() -> int:
-    """The installed command: :func:`main`, without an error where its output is cut (``ndf-mi --help | head``)."""
+    """The installed command: :func:`main`, without an error in ``ndf-mi --help | head``."""
     try:
         code = main()
         sys.stdout.flush()

@@ -14,8 +14,8 @@ import tyro
 class Demo:
     """Synthesise a small capture, train a field on it, compare it with textured meshes and write report.html.
 
-    Finished parts are kept: repeat the command after an interrupt and it continues. The textured mesh is trained until
-    its loss stops falling, the mesh with vertex offsets for as long as the field.
+    Finished parts are kept: repeat the command after an interrupt and it continues. The textured mesh is trained
+    until its loss stops falling, the mesh with vertex offsets for as long as the field.
     """
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo")
@@ -48,7 +48,8 @@ class Demo:
             _print_step(f"2/3  training a field for {self.seconds:.0f} s: {run}")
             Optimise(capture=capture, out=run, seconds=self.seconds, seed=self.seed).run()
         _print_step("3/3  training textured meshes, comparing all on held-out views and poses")
-        Compare(run_folder=run, capture=capture, out=self.out, seed=self.seed, methods="ndf,mesh,offset-mesh@equal-time").run()
+        methods = "ndf,mesh,offset-mesh@equal-time"
+        Compare(run_folder=run, capture=capture, out=self.out, seed=self.seed, methods=methods).run()
         _print_step(f"done in {time.perf_counter() - started:.0f} s: open {self.out / 'report.html'}")
         return 0
 

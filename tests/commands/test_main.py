@@ -1,4 +1,4 @@
-"""The command line: which module is called, and with which exit code it leaves."""
+"""The command line: which command runs, and its exit code."""
 
 from __future__ import annotations
 
@@ -45,7 +45,8 @@ def fake_command(monkeypatch):
     module.Fake = Fake
     monkeypatch.setitem(sys.modules, "ndf_mi.commands.fake", module)
     entries = tuple(
-        commands.Entry(name, "fake", "Fake", "a command for the tests", variant=False) for name in ("try it", "try")
+        commands.Entry(name, "fake", "Fake", "a command for the tests", variant=False)
+        for name in ("try it", "try")
     )
     monkeypatch.setattr(commands, "ENTRIES", entries)
 
@@ -102,9 +103,17 @@ def test_renamed_options_are_accepted_and_not_shown(capsys):
 
 def test_a_reader_that_leaves_early_is_no_error():
     """As in ``ndf-mi --help | head -1``: the pipe is closed before anything is written."""
-    process = subprocess.Popen([sys.executable, "-c", "import sys; from ndf_mi.commands import console; sys.argv[1:] = ['--help']; "
-                                "sys.stdin.read(); sys.exit(console())"],
-                               stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from ndf_mi.commands import console; sys.argv[1:] = ['--help']; "
+            "sys.stdin.read(); sys.exit(console())",
+        ],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
     process.stdout.close()
     process.stdin.close()
     assert process.wait() == 141
@@ -116,4 +125,6 @@ def test_installed_entry_point():
     result = subprocess.run([tool, "--version"], capture_output=True, text=True)
     assert (result.returncode, result.stdout) == (0, f"ndf-mi {ndf_mi.__version__}\n")
     result = subprocess.run([tool, "capture"], capture_output=True, text=True)
-    assert result.returncode == 2 and "capture check" in result.stderr and "render a scene" not in result.stderr
+    assert (
+        result.returncode == 2 and "capture check" in result.stderr and "render a scene" not in result.stderr
+    )
