@@ -78,7 +78,7 @@ def _tradeoff(document: dict[str, Any]) -> dict[str, Any]:
             "kind": "drawn", **{key: row[key] for key in ("figures", "memory")}, "metadata": row["facts"],
         }
         records[f"draw/{row['key']}"] = {
-            "inputs": {"images": row["fingerprint"], "under": row.get("under", "")}, "value": value,
+            "inputs": {"images": row["fingerprint"], "environment": row.get("under", "")}, "value": value,
         }
     for session, conditions in sessions.items():
         rows = [row for row in document["points"] if row.get("session", "") == session]

@@ -116,9 +116,9 @@ class TradeStudy:
         )
         self._machine = machine.describe() | {"sources": hashlib.sha256(sources.encode()).hexdigest()[:12]}
         # What figures and memory depend on besides the point itself.
-        self._under = digest_of(self._machine)
+        self._environment = digest_of(self._machine)
         self._renderings = Renderings(
-            self.capture, self.folder / CONVERGED / self._under, views, settings.timed, settings.path_size
+            self.capture, self.folder / CONVERGED / self._environment, views, settings.timed, settings.path_size
         )
         self._renderings.fields[RUN] = self._run
         everything = self._all_variants()
@@ -202,14 +202,14 @@ class TradeStudy:
     def _drawn(self, point: Point) -> Drawn | None:
         """What was measured of a point, on whatever machine, or None."""
         unit = self._unit(point)
-        under = self._store.inputs(unit.key).get("under")
-        return self._store.fresh(dataclasses.replace(unit, inputs={**unit.inputs, "under": under}))
+        environment = self._store.inputs(unit.key).get("environment")
+        return self._store.fresh(dataclasses.replace(unit, inputs={**unit.inputs, "environment": environment}))
 
     def _unit(self, point: Point) -> Unit[Drawn]:
         """Rendering and measuring a point."""
         pictures = tuple(self._picture(point.key, view) for view in self._renderings.views(point))
         return Unit(
-            f"draw/{point.key}", {"images": self._renderings.cache_key(point), "under": self._under},
+            f"draw/{point.key}", {"images": self._renderings.cache_key(point), "environment": self._environment},
             lambda: self._measure(point), Drawn, pictures, f"render {point.label}", "render",
         )
 

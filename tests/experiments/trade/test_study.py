@@ -81,9 +81,9 @@ def test_measures_every_point_once_and_continues_where_it_stopped(trained_run, c
     assert begun(make(trained_run, capture, tmp_path)) == []
 
 
-@pytest.mark.parametrize(("key", "timed"), [("images", False), ("under", False)])
+@pytest.mark.parametrize("key", ["images", "environment"])
 def test_a_point_is_measured_again_if_what_it_depends_on_has_changed(
-    trained_run, capture, tmp_path, few, key, timed
+    trained_run, capture, tmp_path, few, key
 ):
     settings = Settings(("samples",), views=1, timed=1, repeats=1)
     begun(make(trained_run, capture, tmp_path, settings))
