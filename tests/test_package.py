@@ -6,6 +6,8 @@ import importlib.metadata
 from importlib.resources import files
 from pathlib import Path
 
+import pytest
+
 import ndf_mi
 import ndf_mi.plugins
 
@@ -26,6 +28,18 @@ def test_every_plugin_module_is_listed():
 def test_data_lie_next_to_the_code():
     assert (files("ndf_mi") / "py.typed").is_file()
     assert any(file.name.endswith(".bvh") for file in (files("ndf_mi.body") / "data").iterdir())
+
+
+def test_every_file_next_to_the_code_is_installed(monkeypatch):
+    pytest.importorskip("setuptools")
+    from distutils.core import run_setup
+
+    monkeypatch.chdir(LIBRARY.parent)
+    build = run_setup("setup.py", stop_after="init").get_command_obj("build_py")
+    build.ensure_finalized()
+    installed = {Path(folder, name) for _, folder, _, names in build.data_files for name in names}
+    others = {file.relative_to(LIBRARY.parent) for file in LIBRARY.rglob("*") if file.is_file() and "__pycache__" not in file.parts}
+    assert {file for file in others if file.suffix != ".py"} <= installed
 
 
 def test_there_is_one_version():
