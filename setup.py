@@ -1,10 +1,12 @@
-"""What pyproject.toml cannot say: two folders at the top are installed inside the package."""
+"""What pyproject.toml cannot say: folders outside of the package are installed inside it."""
 
 from setuptools import find_packages, setup
 
+OUTSIDE = {"ndf_mi.plugins": "plugins", "ndf_mi.scenes": "scenes", "ndf_mi.stability": "tests/stability"}
+
 setup(
-    packages=[*find_packages(include=["ndf_mi", "ndf_mi.*"]), "ndf_mi.plugins", "ndf_mi.scenes"],
-    package_dir={"ndf_mi.plugins": "plugins", "ndf_mi.scenes": "scenes"},
+    packages=sorted({*find_packages(include=["ndf_mi", "ndf_mi.*"]), *OUTSIDE}),
+    package_dir=OUTSIDE,
     package_data={
         "ndf_mi": ["py.typed"],
         "ndf_mi.body": ["data/*"],

@@ -17,20 +17,12 @@ def describe() -> dict[str, str]:
     """Label → value, for people to read: processor, cores, memory, system, versions, variant."""
     llvm = dr.detail.llvm_version()
     versions = {
-        "ndf-mi": ndf_mi.__version__,
-        "Mitsuba": mi.__version__,
-        "Dr.Jit": dr.__version__,
-        "LLVM": ".".join(map(str, llvm)) if llvm else "none",
-        "Python": platform.python_version(),
-    }
+        "ndf-mi": ndf_mi.__version__, "Mitsuba": mi.__version__, "Dr.Jit": dr.__version__,
+        "LLVM": ".".join(map(str, llvm)) if llvm else "none", "Python": platform.python_version()}
     return {
-        "Processor": _processor(),
-        "Cores": f"{usable_cores(cpu_quotas()):g}",
-        "Memory": _memory(),
-        "System": platform.platform(),
-        "Variant": str(mi.variant()),
-        "Versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-    }
+        "Processor": _processor(), "Cores": f"{usable_cores(cpu_quotas()):g}", "Memory": _memory(),
+        "System": platform.platform(), "Variant": str(mi.variant()),
+        "Versions": ", ".join(f"{name} {version}" for name, version in versions.items())}
 
 
 def usable_cores(quotas: Sequence[float]) -> float:

@@ -8,16 +8,20 @@ from pathlib import Path
 
 import ndf_mi
 import ndf_mi.plugins
+import ndf_mi.stability
 
-LIBRARY, PLUGINS = Path(ndf_mi.__file__).parent, Path(ndf_mi.plugins.__file__).parent
+#: Packages by name; a checkout keeps all but the first outside of it.
+FOLDERS = {package.__name__: Path(package.__file__).parent for package in (ndf_mi, ndf_mi.plugins, ndf_mi.stability)}
 
 
 def modules() -> dict[str, Path]:
     found = {}
-    for root, prefix in ((LIBRARY, "ndf_mi"), (PLUGINS, "ndf_mi.plugins")):
+    for prefix, root in FOLDERS.items():
         for file in sorted(root.rglob("*.py")):
-            parts = file.relative_to(root).with_suffix("").parts
-            found[".".join((prefix, *(part for part in parts if part != "__init__")))] = file
+            # The cases of the stability suite are tests, although they are installed.
+            if not file.name.startswith(("test_", "conftest")):
+                parts = file.relative_to(root).with_suffix("").parts
+                found[".".join((prefix, *(part for part in parts if part != "__init__")))] = file
     return found
 
 

@@ -24,7 +24,6 @@ def known_profile(fixed: float = 0.05, each: float = 1e-6, error: float = 1.0) -
                 seconds = fixed + each * c.evaluated
                 samples.append(
                     Sample(
-                        n, cutoff, c.tiles, c.lanes, c.evaluated, c.launched, seconds, factor * error / n**2
-                    )
+                        n, cutoff, c.tiles, c.lanes, c.evaluated, c.launched, seconds, factor * error / n**2)
                 )
     return Profile(samples, 0.4)

@@ -51,10 +51,7 @@ def reached(part: str) -> set[str]:
     return known
 
 
-PENDING = {"ndf_mi.stability"}
-
-
-@pytest.mark.parametrize("part", sorted({package(module) for module in MODULES} - {"ndf_mi"} - PENDING))
+@pytest.mark.parametrize("part", sorted({package(module) for module in MODULES} - {"ndf_mi"}))
 def test_every_module_is_tested_in_the_mirror_of_its_package(part: str) -> None:
     modules = {name for name, file in MODULES.items() if package(name) == part and file.name != "__init__.py"}
     assert modules - reached(part) - set(ELSEWHERE) == set()

@@ -18,16 +18,8 @@ if TYPE_CHECKING:
 
 #: Options that apply only to runs, and their values when they are not given.
 RUN_ONLY = {
-    "capture": None,
-    "azimuth": 0.0,
-    "elevation": 5.0,
-    "budget": None,
-    "error": None,
-    "stratified": False,
-    "samples": None,
-    "cutoff": None,
-    "networks": None,
-}
+    "capture": None, "azimuth": 0.0, "elevation": 5.0, "budget": None, "error": None, "stratified": False,
+    "samples": None, "cutoff": None, "networks": None}
 #: Options that a run's `ndf_mi.render.settings.Setting` is made of.
 SETTINGS = ("samples", "cutoff", "stratified", "networks", "spp")
 
@@ -152,12 +144,10 @@ class Render:
             if getattr(self, limit) is not None and given:
                 reason = "chooses it" if given[0] in ("samples", "cutoff") else "works only without it"
                 raise InputError(
-                    f"--{limit}", f"it together with --{given[0]}", f"one of them: --{limit} {reason}"
-                )
+                    f"--{limit}", f"it together with --{given[0]}", f"one of them: --{limit} {reason}")
         return (
             None if self.budget is None else parse_seconds(self.budget),
-            None if self.error is None else parse_decibel(self.error),
-        )
+            None if self.error is None else parse_decibel(self.error))
 
     def _camera(self, run: Run, frame: int) -> Camera:
         from ndf_mi.capture.capture import Capture
@@ -171,14 +161,12 @@ class Render:
             return camera if self.size is None else camera.scaled(*self.size)
         if self.camera is not None:
             raise InputError(
-                "--camera", self.camera, "--capture as well, or --azimuth and --elevation instead"
-            )
+                "--camera", self.camera, "--capture as well, or --azimuth and --elevation instead")
         vertices = run.poses.vertices[run.poses.index(frame)]
         return framing(vertices, *(self.size or (512, 512)), self.azimuth, self.elevation)
 
     def _image(
-        self, run: Run, frame: int, camera: Camera, budget: float | None, error: float | None
-    ) -> Image:
+        self, run: Run, frame: int, camera: Camera, budget: float | None, error: float | None) -> Image:
         from ndf_mi.render.settings import Setting
         from ndf_mi.render.tuner import choose, render_choice
 
@@ -202,8 +190,7 @@ class Render:
         if self.camera is not None:
             if not self.camera.isdecimal():
                 raise InputError(
-                    "--camera", repr(self.camera), "the number of one of the scene's sensors, from 0"
-                )
+                    "--camera", repr(self.camera), "the number of one of the scene's sensors, from 0")
             sensor = int(self.camera)
         scene = load_scene(self.source, self._scene_parameters())
         # Only warnings: a performer may be left out of an image on purpose.

@@ -1,77 +1,115 @@
-"""``ndf-mi stability``: numbers at their extremes, held against float64."""
+"""``ndf-mi stability``: computations at the extremes of their inputs, compared with float64."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from ndf_mi.errors import InputError
 
+if TYPE_CHECKING:
+    from ndf_mi.stability.table import Result, Table
+
+EXTRA = "stability"
+#: Modules of cases, in the order in which they run.
+SUBJECTS = (
+    "integration", "rays", "fields", "majorants", "geometry", "bodies", "cameras", "learning", "images")
+
 
 @dataclass
 class Stability:
-    """Compare what is computed, and its gradients, with float64 at the extremes of every input; print a table of the errors and of what is
-    promised of them.
+    """Compare computations and their gradients with float64 at the extremes of every input, and print a table
+    of the errors and their tolerances.
 
-    Exit code 0 where every promise is kept and everything is finite, else 1. A case that raises is broken; the others go on.
+    The exit code is 0 if all errors are finite and within their tolerances, and 1 otherwise. A case that
+    raises an exception counts as exceeding; the others still run. Needs pytest: pip install
+    "ndf-mi[stability]".
     """
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """File for the table, as markdown (.md), or for everything measured, as JSON (.json)."""
+    """Also write the table to this file, as Markdown (.md), or all measurements, as JSON (.json)."""
 
     only: tuple[str, ...] = ()
-    """Cases or subjects to try, by name; all by default."""
+    """Names of cases or subjects to run; all by default."""
 
     quick: bool = False
-    """Leave out what takes more than a few seconds."""
+    """Leave out cases that take more than a few seconds."""
 
     list: bool = False
-    """Name the cases, and try none."""
+    """List the cases instead of running them."""
 
     def run(self) -> int:
-        """Tries the cases one by one, prints a row as each is done, and writes the file."""
+        """Runs the cases, prints a row as each is done, and writes the file."""
+        from ndf_mi.optional import require
+
+        for module in ("pytest", "trimesh"):
+            require(module, extra=EXTRA)
         import drjit as dr
         import mitsuba as mi
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         import ndf_mi
-        from ndf_mi.stability import report, suite
+        from ndf_mi.stability import table
 
         if self.out is not None:
-            report.check(self.out)
-        named = suite.cases(self.only)
-        chosen = [case for case in named if not (self.quick and case.long)]
-        if not chosen:
-            raise InputError("--quick", f"it with --only {' '.join(self.only)}, of which all take long", "one of the two")
-        console = Console(highlight=False, width=None if sys.stdout.isatty() else 200)
+            table.check_suffix(self.out)
         if self.list:
-            for case in chosen:
-                console.print(f"{case.subject:<12} {case.name:<28} {case.what}", soft_wrap=True, markup=False)
+            for result in self._run_tests(collect_only=True).results.values():
+                print(f"{result.subject:<12} {result.name:<28} {result.case.what}")
             return 0
-        results = []
-        bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(file=sys.stderr), transient=True,
-                       disable=not sys.stderr.isatty())
-        console.print(report.line(report.HEADER), soft_wrap=True, markup=False)
-        with bar:
-            task = bar.add_task("", total=len(chosen))
-            for case in chosen:
-                bar.update(task, description=case.name)
-                result = case.attempt()
-                results.append(result)
-                console.print(report.line(report.cells(result)), style="" if result.passed else "bold red", soft_wrap=True, markup=False)
-                for line in report.details(result):
-                    console.print(f"  {line}", soft_wrap=True, markup=False)
-                sys.stdout.flush()
-                bar.advance(task)
-        failed = [result.case.name for result in results if not result.passed]
-        print(f"\n{len(results)} cases, {len(failed)} broken{': ' + ', '.join(failed) if failed else ''}")
+        out = sys.stdout
+
+        def report(result: Result) -> None:
+            for text in (table.line(result.cells()), *(f"  {text}" for text in result.details())):
+                print(text, file=out, flush=True)
+
+        print(table.line(table.HEADER), flush=True)
+        results = [*self._run_tests(report).results.values()]
+        exceeding = [result.name for result in results if not result.within]
+        names = f": {', '.join(exceeding)}" if exceeding else ""
+        print(f"\n{len(results)} cases, {len(exceeding)} exceed their tolerances{names}")
         if self.out is not None:
-            about = {"ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__, "variant": mi.variant()}
-            report.write(self.out, results, about)
+            about = {
+                "ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__,
+                "variant": mi.variant()}
+            table.write(self.out, results, about)
             print(self.out)
-        return 1 if failed or not results else 0
+        return 1 if exceeding else 0
+
+    def _run_tests(
+        self, report: Callable[[Result], None] = lambda result: None, collect_only: bool = False) -> Table:
+        """Runs pytest on the suite, without its output and independently of the user's configuration of it.
+
+        Raises:
+            InputError: a name in --only is unknown, or no case is left.
+        """
+        import os
+
+        import pytest
+
+        import ndf_mi.stability
+        from ndf_mi.stability.table import Table
+
+        found = Table(self.only, self.quick, report)
+        folder = Path(ndf_mi.stability.__file__).parent
+        arguments = [
+            "-c", os.devnull, f"--rootdir={folder}", f"--confcutdir={folder}", "--import-mode=importlib",
+            "--capture=sys", "-p", "no:terminal", "-p", "no:cacheprovider",
+            *(["--collect-only"] if collect_only else [])]
+        with pytest.MonkeyPatch.context() as environment:
+            environment.delenv("PYTEST_ADDOPTS", raising=False)
+            environment.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+            code = pytest.main(
+                [*arguments, *(str(folder / f"test_{subject}.py") for subject in SUBJECTS)], plugins=[found])
+        if found.unknown:
+            raise InputError("--only", ", ".join(found.unknown), "names of: " + ", ".join(found.names))
+        if not found.names:
+            raise RuntimeError(f"pytest cannot collect the cases in {folder} (exit code {code})")
+        if not found.results:
+            raise InputError(
+                "--quick", f"it with --only {' '.join(self.only)}, whose cases all take long", "one of them")
+        return found

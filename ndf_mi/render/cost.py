@@ -97,7 +97,6 @@ def _log_errors(samples: Sequence[Sample]) -> tuple[np.ndarray, np.ndarray]:
     """Logarithms of the sample counts and of the mean errors there; errors never rise with the samples."""
     counts = sorted({s.samples for s in samples if s.error is not None})
     errors = [
-        float(np.mean([s.error for s in samples if s.samples == n and s.error is not None])) for n in counts
-    ]
+        float(np.mean([s.error for s in samples if s.samples == n and s.error is not None])) for n in counts]
     # The logarithm needs an error above zero; 1e-12 is far below an 8-bit step squared.
     return np.log(counts), np.log(np.minimum.accumulate(np.maximum(errors, 1e-12)))

@@ -45,8 +45,7 @@ class Plan:
     half: Mapping[float, tuple[int, ...]] = field(
         default_factory=lambda: {CUTOFFS[0]: (8, 16, 28, 64, 112, 256), CUTOFFS[1]: (8, 40, 128)})
     whole: Mapping[float, tuple[int, ...]] = field(
-        default_factory=lambda: {CUTOFFS[0]: (16, 64, 224), CUTOFFS[1]: (32,)}
-    )
+        default_factory=lambda: {CUTOFFS[0]: (16, 64, 224), CUTOFFS[1]: (32,)})
     azimuths: tuple[float, ...] = (0.0, 120.0)
     repeats: int = 3
 
@@ -89,13 +88,8 @@ class _View:
 
 
 def measure(
-    run: Run,
-    size: tuple[int, int],
-    geometry: bool,
-    report: Callable[[str], None],
-    plan: Plan | None = None,
-    clock: Clock = time.perf_counter,
-) -> Profile:
+    run: Run, size: tuple[int, int], geometry: bool, report: Callable[[str], None], plan: Plan | None = None,
+    clock: Clock = time.perf_counter) -> Profile:
     """Measures settings in views of the run.
 
     A first pass compiles all kernels and finds the errors; the timings follow, in random order, so that a
@@ -140,16 +134,12 @@ def measure(
     for (_, setting), work, error, times in zip(jobs, works, errors, seconds, strict=True):
         counts = {
             name: statistics.mean(getattr(one, name) for one in work)
-            for name in ("tiles", "lanes", "evaluated", "launched")
-        }
+            for name in ("tiles", "lanes", "evaluated", "launched")}
         samples.append(
             Sample(
-                setting.samples,
-                setting.cutoff,
-                **counts,
+                setting.samples, setting.cutoff, **counts,
                 seconds=statistics.mean(map(statistics.median, times)),
-                error=statistics.mean(error) if error else None,
-            )
+                error=statistics.mean(error) if error else None)
         )
     return Profile(samples, statistics.mean(opacities))
 
@@ -164,10 +154,8 @@ def pace(run: Run, size: tuple[int, int], geometry: bool, profile: Profile, cloc
     """
     plan = plan or Plan()
     known = [
-        s.seconds
-        for s in profile.samples
-        if (s.samples, s.cutoff) == (PACE.samples, PACE.cutoff) and s.error is not None
-    ]
+        s.seconds for s in profile.samples
+        if (s.samples, s.cutoff) == (PACE.samples, PACE.cutoff) and s.error is not None]
     if not known:
         return 1.0
     medians = []

@@ -56,18 +56,14 @@ class Key:
         """The current key. `geometry`: whether (u, v, l) and normals are rendered as well, which takes
         longer."""
         return cls(
-            str(run.path.resolve()), field_digest(run), code_digest(), size, geometry, machine.describe()
-        )
+            str(run.path.resolve()), field_digest(run), code_digest(), size, geometry, machine.describe())
 
     @property
     def file(self) -> Path:
         """Where the profile is stored."""
         fixed = [
-            self.run,
-            self.size,
-            self.geometry,
-            *(self.machine[name] for name in ("Processor", "Cores", "Variant")),
-        ]
+            self.run, self.size, self.geometry,
+            *(self.machine[name] for name in ("Processor", "Cores", "Variant"))]
         return cache_folder() / "profiles" / f"{hashlib.sha256(repr(fixed).encode()).hexdigest()[:24]}.json"
 
     def to_dict(self) -> dict[str, Any]:
@@ -119,12 +115,8 @@ def write(key: Key, profile: Profile) -> None:
     files.write_json(
         key.file,
         {
-            "format": FORMAT,
-            "version": VERSION,
-            "key": key.to_dict(),
-            "opacity": profile.opacity,
-            "samples": [asdict(sample) for sample in profile.samples],
-        },
+            "format": FORMAT, "version": VERSION, "key": key.to_dict(), "opacity": profile.opacity,
+            "samples": [asdict(sample) for sample in profile.samples]},
     )
 
 
@@ -138,16 +130,12 @@ def read(key: Key) -> tuple[Profile | None, str]:
     except (OSError, ValueError, RecursionError):
         return None, _UNREADABLE
     if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (
-        FORMAT,
-        VERSION,
-    ):
+        FORMAT, VERSION):
         return None, "the stored one is of another version"
     stored, current = document.get("key"), key.to_dict()
     if stored != current:
         names, before = (
-            {"digest": "weights", "code": "rendering code"},
-            stored if isinstance(stored, dict) else current,
-        )
+            {"digest": "weights", "code": "rendering code"}, stored if isinstance(stored, dict) else current)
         changed = next(
             (name for part, name in names.items() if before.get(part) != current[part]), "machine or versions"
         )
@@ -156,9 +144,7 @@ def read(key: Key) -> tuple[Profile | None, str]:
         samples = [Sample(**entry) for entry in document["samples"]]
         opacity = document["opacity"]
         numbers = [
-            opacity,
-            *(value for sample in samples for value in asdict(sample).values() if value is not None),
-        ]
+            opacity, *(value for sample in samples for value in asdict(sample).values() if value is not None)]
     except (KeyError, TypeError, ValueError):
         return None, _UNREADABLE
     if not all(map(is_finite, numbers)) or {s.cutoff for s in samples if s.error is not None} != set(CUTOFFS):

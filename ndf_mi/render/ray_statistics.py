@@ -75,11 +75,8 @@ class RayStatistics:
             # each.
             ends = np.minimum(np.arange(math.ceil(rays / tile) + 1) * tile / rays, 1.0)
             cumulative = (
-                np.concatenate([[0.0], np.cumsum(evaluated_fraction[alive])])
-                / alive.sum()
-                * rays
-                * candidates
-            )
+                np.concatenate([[0.0], np.cumsum(evaluated_fraction[alive])]) / alive.sum() * rays
+                * candidates)
             per_tile = np.diff(np.interp(ends, np.linspace(0, 1, len(cumulative)), cumulative))
             tiles += len(per_tile)
             evaluated += float(per_tile.sum())
@@ -87,8 +84,7 @@ class RayStatistics:
                 np.mean(
                     [
                         sum(rounded(math.ceil(factor * samples), QUANTUM) for samples in per_tile)
-                        for factor in _RELATIVE_ERRORS
-                    ]
+                        for factor in _RELATIVE_ERRORS]
                 )
             )
         return Counts(tiles, tiles * tile * candidates, evaluated, launched)

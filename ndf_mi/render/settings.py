@@ -72,8 +72,7 @@ class Setting:
         picture = self.image(run, frame, camera).over(run.background)
         if picture.shape[:2] != (camera.h, camera.w):
             picture = resize(picture, (camera.h, camera.w), order=1, mode="edge", anti_aliasing=False).astype(
-                np.float32
-            )
+                np.float32)
         dr.sync_thread()
         return picture
 

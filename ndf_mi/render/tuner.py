@@ -24,15 +24,8 @@ from ndf_mi.training_log import FILE_NAME, read_training_log
 #: because each number compiles its own kernels. Rays per pixel are always one: fields are trained through
 #: pixel centres, and images of several rays are less accurate.
 SAMPLES = (
-    *range(4, 32, 4),
-    *range(32, 64, 8),
-    *range(64, 128, 16),
-    *range(128, 256, 32),
-    *range(256, 512, 64),
-    *range(512, 1024, 64),
-    *range(1024, 2048, 128),
-    *range(2048, 4097, 256),
-)
+    *range(4, 32, 4), *range(32, 64, 8), *range(64, 128, 16), *range(128, 256, 32), *range(256, 512, 64),
+    *range(512, 1024, 64), *range(1024, 2048, 128), *range(2048, 4097, 256))
 #: Relative error of a predicted time that is normal.
 TOLERANCE = 0.2
 #: Relative difference of the machine's pace from the profile's that is worth reporting.
@@ -71,15 +64,12 @@ class Choice:
         rays = "one ray" if s.spp == 1 else f"{s.spp} rays"
         least, most = ("at least ", "at most ") if self.bound else ("", "")
         loss = (
-            ""
-            if self.loss is None
-            else f", {most}{self.loss:.2g} dB below what the run reaches on photographs"
-        )
+            "" if self.loss is None
+            else f", {most}{self.loss:.2g} dB below what the run reaches on photographs")
         return (
             f"{s.samples} samples per ray, {rays} per pixel, rays followed to a transmittance of "
             f"{s.cutoff:g}: expected to take "
-            f"{self.seconds:.3g} s, {least}{self.psnr:.1f} dB from convergence{loss}"
-        )
+            f"{self.seconds:.3g} s, {least}{self.psnr:.1f} dB from convergence{loss}")
 
 
 def parse_seconds(text: str) -> float:
@@ -143,14 +133,11 @@ def training_error(run: Run) -> TrainingError | None:
     options = recorded if isinstance(recorded, dict) else {}
     history = read_training_log(run.path) if options.get("integrator", QUADRATURE) == QUADRATURE else []
     drawn, box = (
-        _mean_squared_error(history[-1].get(key)) if history else None for key in ("psnr", "box_psnr")
-    )
+        _mean_squared_error(history[-1].get(key)) if history else None for key in ("psnr", "box_psnr"))
     share = options.get("mask_share")
     return (
-        None
-        if drawn is None and box is None
-        else TrainingError(drawn, box, share if is_finite(share) else MASK_SHARE)
-    )
+        None if drawn is None and box is None
+        else TrainingError(drawn, box, share if is_finite(share) else MASK_SHARE))
 
 
 def _mean_squared_error(psnr: object) -> float | None:
@@ -158,15 +145,8 @@ def _mean_squared_error(psnr: object) -> float | None:
 
 
 def choose(
-    run: Run,
-    frame: int,
-    camera: Camera,
-    geometry: bool,
-    report: Callable[[str], None],
-    *,
-    budget: float | None = None,
-    error: float | None = None,
-) -> Choice:
+    run: Run, frame: int, camera: Camera, geometry: bool, report: Callable[[str], None], *,
+    budget: float | None = None, error: float | None = None) -> Choice:
     """The best setting whose image takes `budget` seconds, or the quickest one that loses at most `error` dB.
 
     Args:
@@ -182,11 +162,8 @@ def choose(
     known = training_error(run)
     if error is not None and known is None:
         raise InputError(
-            run.path / FILE_NAME,
-            "no final error of a training by quadrature",
-            "one that --error can be relative to",
-            "`--budget` works without it.",
-        )
+            run.path / FILE_NAME, "no final error of a training by quadrature",
+            "one that --error can be relative to", "`--budget` works without it.")
     profile = load_or_measure(run, (camera.w, camera.h), geometry, report)
     own = None if known is None else known.in_box(profile.opacity)
     # An error does not depend on how fast the machine is now.
@@ -204,14 +181,12 @@ def choose(
     if best.bound and enough.loss is not None and enough.loss < NEGLIGIBLE_LOSS:
         report(
             f"{enough.setting.samples} samples per ray take {enough.seconds:.3g} s and lose at most "
-            f"{enough.loss:.2g} dB"
-        )
+            f"{enough.loss:.2g} dB")
     return best
 
 
 def candidates(
-    model: CostModel, statistics: RayStatistics, own: float | None, slowdown: float = 1.0
-) -> list[Choice]:
+    model: CostModel, statistics: RayStatistics, own: float | None, slowdown: float = 1.0) -> list[Choice]:
     """Every setting on offer with its prediction: one ray per pixel, each of `SAMPLES`, each cutoff whose
     error is known.
 
@@ -228,12 +203,8 @@ def candidates(
         loss = None if own is None else 10 * math.log10(1 + error / own)
         found.append(
             Choice(
-                setting,
-                slowdown * model.seconds(setting, statistics),
-                -10 * math.log10(error),
-                loss,
-                model.beyond(setting),
-            )
+                setting, slowdown * model.seconds(setting, statistics), -10 * math.log10(error), loss,
+                model.beyond(setting))
         )
     return found
 
@@ -249,11 +220,9 @@ def within_budget(choices: Sequence[Choice], budget: float) -> Choice:
     if not fitting:
         least = min(choice.seconds for choice in choices)
         raise InputError(
-            "--budget",
-            f"{budget:g} s",
+            "--budget", f"{budget:g} s",
             f"at least {_round_up(least)} s for an image of this size on this machine",
-            "A smaller --size takes less.",
-        )
+            "A smaller --size takes less.")
     return max(fitting, key=lambda c: (c.psnr, c.setting.samples * c.bound, -c.seconds))
 
 
@@ -271,14 +240,8 @@ def within_error(choices: Sequence[Choice], error: float) -> Choice:
 
 
 def render_choice(
-    choice: Choice,
-    run: Run,
-    frame: int,
-    camera: Camera,
-    geometry: bool,
-    report: Callable[[str], None],
-    clock: Callable[[], float] = time.perf_counter,
-) -> Image:
+    choice: Choice, run: Run, frame: int, camera: Camera, geometry: bool, report: Callable[[str], None],
+    clock: Callable[[], float] = time.perf_counter) -> Image:
     """Renders the image and reports the time that it took.
 
     An image that takes longer than expected by more than `TOLERANCE` has compiled kernels. It is rendered

@@ -35,8 +35,7 @@ def model():
 @pytest.mark.parametrize(("samples", "rays"), [(4, 9000), (48, 5000), (200, 40000), (512, 150000)])
 def test_times_between_and_beyond_what_was_measured(model, samples, rays):
     assert model.seconds(Setting(samples, 1e-4), statistics(rays)) == pytest.approx(
-        sample(samples, 1e-4, rays).seconds, rel=1e-3
-    )
+        sample(samples, 1e-4, rays).seconds, rel=1e-3)
     assert max(abs(model.residuals)) < 1e-6
 
 
@@ -47,8 +46,7 @@ def test_more_rays_a_pixel_repeat_all_but_what_is_fixed(model):
 
 def test_a_view_with_more_of_the_performer_takes_longer(model):
     usual, full = (
-        model.seconds(Setting(256, 1e-4), statistics(40000, evaluated)) for evaluated in (0.1, 0.2)
-    )
+        model.seconds(Setting(256, 1e-4), statistics(40000, evaluated)) for evaluated in (0.1, 0.2))
     more = 0.1 * 256 / 4 * (40000 + 3 * 40000 / 3)
     assert (EVALUATED + LAUNCHED) * more < full - usual < (EVALUATED + 1.5 * LAUNCHED) * more
 
@@ -68,7 +66,6 @@ def test_errors_of_more_samples_than_were_measured_are_bounded_by_those_of_the_m
 def test_more_samples_never_count_as_worse():
     noisy = [
         Sample(n, 0.01, 4, 100 * n, 10 * n, 10 * n, 0.1, error)
-        for n, error in ((8, 1e-2), (16, 1e-3), (32, 2e-3))
-    ]
+        for n, error in ((8, 1e-2), (16, 1e-3), (32, 2e-3))]
     model = CostModel(noisy)
     assert model.error(Setting(32, 0.01)) == pytest.approx(1e-3) == model.error(Setting(512, 0.01))

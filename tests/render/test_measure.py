@@ -15,15 +15,10 @@ def clock(seconds):
 
 def test_a_profile_has_all_that_the_cost_model_needs(trained_run):
     plan = Plan(
-        {CUTOFFS[0]: (8, PACE.samples), CUTOFFS[1]: (16,)}, {CUTOFFS[0]: (32,)}, azimuths=(30.0,), repeats=1
-    )
+        {CUTOFFS[0]: (8, PACE.samples), CUTOFFS[1]: (16,)}, {CUTOFFS[0]: (32,)}, azimuths=(30.0,), repeats=1)
     profile = measure(trained_run, (24, 32), False, lambda text: None, plan, clock(2.0))
     assert [(s.samples, s.error is None) for s in profile.samples] == [
-        (8, False),
-        (PACE.samples, False),
-        (16, False),
-        (32, True),
-    ]
+        (8, False), (PACE.samples, False), (16, False), (32, True)]
     assert all(s.seconds == 2.0 for s in profile.samples)
     assert all(s.tiles > 0 and s.lanes > 0 and s.launched >= s.evaluated > 0 for s in profile.samples)
     # A ball of radius 0.5 in its cube, seen from nearly in front; the cube is padded.

@@ -47,18 +47,14 @@ def test_a_profile_is_stored_and_measured_again_when_stale(make_run, cache):
     for part, name in (("machine", "versions"), ("code", "code")):
         document = json.loads(file.read_text())
         document["key"][part] = (
-            document["key"][part] | {"Versions": "other"} if part == "machine" else "other"
-        )
+            document["key"][part] | {"Versions": "other"} if part == "machine" else "other")
         file.write_text(json.dumps(document))
         get()
         assert name in messages[0]
     assert measurements.count == 6
     for text in (
-        "{",
-        "[]",
-        '{"format": "ndf-profile", "version": 0}',
-        file.read_text().replace('"opacity": 0.4', '"opacity": "x"'),
-    ):
+        "{", "[]", '{"format": "ndf-profile", "version": 0}',
+        file.read_text().replace('"opacity": 0.4', '"opacity": "x"')):
         file.write_text(text)
         get()
         assert "can't be read" in messages[0] or "another version" in messages[0]

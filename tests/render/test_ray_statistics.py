@@ -22,10 +22,8 @@ def test_counts_where_two_thirds_of_the_rays_end():
     assert found.launched == 32768 + 3 * 12288
     # With a cutoff below their transmittance, or none, no ray ends.
     assert (
-        statistics.counts(Setting(64, 1e-3)).launched
-        == statistics.counts(Setting(64, 0.0)).launched
-        == 4 * 32768
-    )
+        statistics.counts(Setting(64, 1e-3)).launched == statistics.counts(Setting(64, 0.0)).launched
+        == 4 * 32768)
     # With 128 samples in a round, a tile has 4,096 rays.
     many = RayStatistics(150000, 1, statistics.evaluated, before).counts(Setting(512, 1e-2))
     assert many.tiles == 37 + 3 * 13 and many.evaluated == pytest.approx(0.2 * 128 * (150000 + 3 * 50000))

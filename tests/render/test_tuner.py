@@ -32,8 +32,7 @@ OWN = 1e-3
 
 
 @pytest.mark.parametrize(
-    ("text", "seconds"), [("0.5s", 0.5), ("300ms", 0.3), ("2 min", 120.0), (".25s", 0.25)]
-)
+    ("text", "seconds"), [("0.5s", 0.5), ("300ms", 0.3), ("2 min", 120.0), (".25s", 0.25)])
 def test_times(text, seconds):
     assert parse_seconds(text) == pytest.approx(seconds)
 
@@ -102,12 +101,10 @@ def test_an_error_takes_the_quickest_setting_within_it():
 
 def test_errors_add_as_independent_ones():
     choice, unknown = (
-        next(c for c in choices(own) if c.setting == Setting(96, CUTOFFS[0])) for own in (OWN, None)
-    )
+        next(c for c in choices(own) if c.setting == Setting(96, CUTOFFS[0])) for own in (OWN, None))
     error = 10 ** (-choice.psnr / 10)
     assert error == pytest.approx(1 / 96**2, rel=1e-3) and choice.loss == pytest.approx(
-        10 * math.log10(1 + error / OWN)
-    )
+        10 * math.log10(1 + error / OWN))
     assert unknown.loss is None and unknown.psnr == choice.psnr
 
 
@@ -115,8 +112,7 @@ def test_training_error_is_that_of_the_last_rays_from_the_box(trained_run, make_
     last = json.loads((trained_run.path / "metrics.jsonl").read_text().splitlines()[-1])
     for opacity in (0.1, 0.9):
         assert -10 * math.log10(training_error(trained_run).in_box(opacity)) == pytest.approx(
-            last["box_psnr"]
-        )
+            last["box_psnr"])
     assert training_error(make_run()) is None
 
 
@@ -143,28 +139,18 @@ def log_training(run, psnr=30.0):
 
 
 @pytest.mark.parametrize(("times", "expected", "again"), [
-    ((1.0,), ("took 1 s",), False),
-    ((9.0, 1.1), ("took 1.1 s", "9 s the first time"), False),
-    ((9.0, 2.0), ("took 2 s", "2 times"), True),
-    ((0.5,), ("took 0.5 s", "0.5 times"), True),
-])
+    ((1.0,), ("took 1 s",), False), ((9.0, 1.1), ("took 1.1 s", "9 s the first time"), False),
+    ((9.0, 2.0), ("took 2 s", "2 times"), True), ((0.5,), ("took 0.5 s", "0.5 times"), True)])
 def test_the_time_reported_is_that_of_a_further_frame(make_run, times, expected, again):
     """Images that took too long are rendered again; a time that is still off points to the profile."""
     run, messages = make_run(), []
     ticks = iter(
-        [tick for number, time in enumerate(times) for tick in (100.0 * number, 100.0 * number + time)]
-    )
+        [tick for number, time in enumerate(times) for tick in (100.0 * number, 100.0 * number + time)])
     choice = Choice(Setting(4), 1.0, 30.0, None)
     frame = int(run.poses.frames[0])
     render_choice(
-        choice,
-        run,
-        frame,
-        framing(run.poses.vertices[0], 8, 8),
-        False,
-        messages.append,
-        clock=lambda: next(ticks),
-    )
+        choice, run, frame, framing(run.poses.vertices[0], 8, 8), False, messages.append,
+        clock=lambda: next(ticks))
     assert not list(ticks)
     assert all(text in " ".join(messages) for text in expected)
     assert any(".json" in message for message in messages) == again
@@ -192,25 +178,18 @@ def test_render_within_a_budget_and_within_an_error(profiled_run, tmp_path, caps
         assert render(profiled_run, tmp_path, *limit) == 0
         printed = capsys.readouterr()
         assert (
-            "expected to take" in printed.err and "samples per ray" in printed.err and "took" in printed.err
-        )
+            "expected to take" in printed.err and "samples per ray" in printed.err and "took" in printed.err)
         assert "measuring" not in printed.err
         assert printed.out.strip() == str(tmp_path / "a.png") and (tmp_path / "a.png").exists()
 
 
 @pytest.mark.parametrize(("options", "named"), [
-    (["--budget", "1s", "--samples", "64"], "--samples"),
-    (["--budget", "1s", "--spp", "4"], "--spp"),
+    (["--budget", "1s", "--samples", "64"], "--samples"), (["--budget", "1s", "--spp", "4"], "--spp"),
     (["--error", "1dB", "--cutoff", "0.1"], "--cutoff"),
     (["--error", "1dB", "--networks", "fused"], "--networks"),
-    (["--budget", "1s", "--stratified"], "--stratified"),
-    (["--budget", "1s", "--error", "1dB"], "--error"),
-    (["--budget", "1"], "0.5s"),
-    (["--budget", "1us"], "0.5s"),
-    (["--budget", "1ms"], "at least"),
-    (["--error", "0.000001dB"], "at least"),
-    (["--cutoff", "1"], "--cutoff"),
-])
+    (["--budget", "1s", "--stratified"], "--stratified"), (["--budget", "1s", "--error", "1dB"], "--error"),
+    (["--budget", "1"], "0.5s"), (["--budget", "1us"], "0.5s"), (["--budget", "1ms"], "at least"),
+    (["--error", "0.000001dB"], "at least"), (["--cutoff", "1"], "--cutoff")])
 def test_invalid_limits_exit_with_code_2(profiled_run, tmp_path, capsys, options, named):
     log_training(profiled_run)
     assert render(profiled_run, tmp_path, *options) == 2

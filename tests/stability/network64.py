@@ -1,10 +1,11 @@
-"""The networks of a field in numpy's float64, from the same weights: for frequency encodings."""
+"""The networks of a field in float64, from the same weights; for frequency encodings."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ndf_mi.field import Field
+from ndf_mi.stability.curves import decode, logistic
 
 
 def gamma(values: np.ndarray, octaves: int) -> np.ndarray:
@@ -34,7 +35,8 @@ class Network64:
         self._features = features
 
     def __call__(self, u: np.ndarray, d: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """σ (N,) in 1/m and linear colours (N, 3) at u (N, D), seen along d (N, 3), where the body's normals are n (N, 3)."""
+        """σ (N,) in 1/m and linear colours (N, 3) at u (N, D), seen along d (N, 3), where the body's normals
+        are n (N, 3)."""
         p = self._preset
         if p.deformation_layers:
             h = gamma(u, p.deformation_octaves)
@@ -67,13 +69,15 @@ class Network64:
     def _linear(self, name: str, x: np.ndarray) -> np.ndarray:
         layer = self._layers[name]
         columns = layer.inputs + layer.pose
-        matrix = self._weights[layer.offset : layer.offset + layer.outputs * columns].reshape(layer.outputs, columns)
+        matrix = self._weights[layer.offset : layer.offset + layer.outputs * columns].reshape(
+            layer.outputs, columns)
         bias = self._weights[layer.offset + layer.outputs * columns : layer.offset + layer.affine]
         if layer.pose:
             x = np.concatenate([x, np.broadcast_to(self._features, (len(x), layer.pose))], 1)
         y = x @ matrix.T + bias
         if layer.products:
-            mixed = self._weights[layer.offset + layer.affine : layer.offset + layer.size].reshape(layer.outputs, layer.inputs, -1)
+            mixed = self._weights[layer.offset + layer.affine : layer.offset + layer.size].reshape(
+                layer.outputs, layer.inputs, -1)
             y += np.einsum("ni,oik,k->no", x[:, : layer.inputs], mixed, self._features[0])
         return y
 
@@ -81,17 +85,3 @@ class Network64:
         return np.maximum(self._linear(name, x), 0)
 
 
-def logistic(x: np.ndarray) -> np.ndarray:
-    """1 / (1 + e^−x) without overflow."""
-    small = np.exp(-np.abs(x))
-    return np.where(x < 0, small, 1.0) / (1.0 + small)
-
-
-def decode(srgb: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1, from sRGB to linear."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0.04045) + 0.055) / 1.055) ** 2.4)
-
-
-def encode(linear: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1, from linear to sRGB."""
-    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)

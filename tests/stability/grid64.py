@@ -1,4 +1,5 @@
-"""The multiresolution hash grid in numpy's float64, from the same table, after Müller et al. 2022, *Instant Neural Graphics Primitives*."""
+"""The multiresolution hash grid in float64, from the same table (Müller et al. 2022, *Instant Neural Graphics
+Primitives*)."""
 
 from __future__ import annotations
 
@@ -17,12 +18,15 @@ class Grid64:
 
     Args:
         shape: with the encoding `grid`.
-        table: (size,) entries, level by level, node by node, a node's features beside one another.
+        table: (size,) entries by level, node and feature.
+
+    Raises:
+        ValueError: the table is larger than the levels.
     """
 
     def __init__(self, shape: Preset, table: np.ndarray) -> None:
         growth = np.log(shape.grid_finest / shape.grid_base) / (shape.grid_levels - 1)
-        # A level with n nodes a side has n − 1 cells between its first node and its last.
+        # A level with n nodes per side has n − 1 cells between its first and its last node.
         self.scales = shape.grid_base * np.exp(growth * np.arange(shape.grid_levels)) - 1
         self._stretch = np.array([1.0, 1.0, shape.grid_l_scale])
         self._levels: list[np.ndarray] = []
@@ -36,14 +40,12 @@ class Grid64:
             raise ValueError(f"{len(rest)} nodes more than the levels have")
 
     def __call__(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Features, their derivatives, and where these jump.
-
-        Args:
-            u: (N, 3).
+        """Features at u (N, 3).
 
         Returns:
-            features (N, K); derivatives of their sum in u (N, 3), zero across an edge of the cube that u is beyond; and how far u is from
-            the nearest side of a cell, in cells, over all levels (N,).
+            features (N, K); the derivatives of their sum in u (N, 3), zero across a side of the cube that u
+            is beyond; and the distance in cells to the nearest side of a cell, where derivatives jump, over
+            all levels (N,).
         """
         inside = np.clip(u.astype(np.float64), 0, 1)
         moves = (inside == u) * self._stretch
@@ -60,7 +62,8 @@ class Grid64:
                 sums += weights.prod(1)[:, None] * entry
                 for axis in range(3):
                     others = np.delete(weights, axis, 1).prod(1)
-                    slopes[:, axis] += (1 if corner[axis] else -1) * others * scale * moves[:, axis] * entry.sum(1)
+                    slopes[:, axis] += (
+                        (1 if corner[axis] else -1) * others * scale * moves[:, axis] * entry.sum(1))
             features.append(sums)
         return np.concatenate(features, 1), slopes, border
 
