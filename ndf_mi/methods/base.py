@@ -1,11 +1,11 @@
 """The contract of a method: what experiments ask of everything that they compare.
 
-A method draws the performer of one capture. It is created by the registry, then either trained (`fit`) or read from a
-folder (`load`), and then it renders. Experiments and reports use nothing of a method but `Method`, and `expect_views`
-for those that can only show some views.
+A method draws the performer of one capture. It is created by the registry, then either trained (`fit`) or
+read from a folder (`load`), and then it renders. Experiments and reports use nothing of a method but
+`Method`, and `expect_views` for those that can only show some views.
 
-`metadata` returns JSON values under keys of the method's choice. These keys have a meaning for experiments and reports;
-all of them are optional:
+`metadata` returns JSON values under keys of the method's choice. These keys have a meaning for experiments
+and reports; all of them are optional:
 
     seconds     wall-clock seconds of training
     steps       steps of training
@@ -14,8 +14,8 @@ all of them are optional:
     seed        the seed of training
     capture     digest of the capture that it was trained on
     options     the options that it was created with: {name: value}
-    tuned       options that a search on the training images has found: {name: value}. Other trainings on the same
-                capture may be created with them and need not search again
+    tuned       options that a search on the training images has found: {name: value}. Other trainings on the
+                same capture may be created with them and need not search again
     history     the training curve: [step, seconds, mean squared error in sRGB], in order
     note        how it was trained or where its pictures come from, one sentence for the report
     noise_psnr  PSNR in dB that the sampling noise of the last picture rendered would have by itself
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from ndf_mi.capture.capture import Capture
 
 Progress = Callable[[float, int, float], None]
-"""Called after a step of training with the seconds and steps so far and the step's mean squared error in sRGB."""
+"""Called after a step of training with seconds, steps so far, and the step's mean squared error in sRGB."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ class Budget:
     """How long a method may train.
 
     Args:
-        seconds: wall-clock seconds, counted from when all images are in memory; None trains to convergence, or through
-            the whole schedule of a method that has a fixed one.
+        seconds: wall-clock seconds, counted from when all images are in memory; None trains to convergence,
+            or through the whole schedule of a method that has a fixed one.
         seed: seed of everything random in training, from 0 on.
 
     Raises:
@@ -163,6 +163,6 @@ class LimitedViews(Protocol):
 
 
 def expect_views(method: Renderer, views: Sequence[tuple[str, int]]) -> None:
-    """Raises InputError unless the method can render every (camera, frame). To be called before anything is measured."""
+    """Raises InputError unless the method can render every (camera, frame); for before anything is measured."""
     if isinstance(method, LimitedViews):
         method.check_views(views)

@@ -1,11 +1,12 @@
-"""Pictures that some other program rendered, as a method: any external system can be measured by the same protocols.
+"""Pictures that another program rendered, as a method: any system can be measured by the same protocols.
 
     FOLDER/CAMERA/000012.png   or FOLDER/CAMERA/12.png: frame 12 seen by a camera of the capture
     FOLDER/metadata.json       optional: a JSON object for the report, see `Images`
 
-Pictures are PNG files of the camera's size, sRGB encoded, of 8 or 16 bits, in colour or grey. Where the capture's
-cameras have lens distortion, pictures must be rendered without it, through `Capture.cameras`. Alpha is straight (not
-premultiplied), and pictures with alpha are composited over the capture's background in linear light.
+Pictures are PNG files of the camera's size, sRGB encoded, of 8 or 16 bits, in colour or grey. Where the
+capture's cameras have lens distortion, pictures must be rendered without it, through `Capture.cameras`. Alpha
+is straight (not premultiplied), and pictures with alpha are composited over the capture's background in
+linear light.
 """
 
 from __future__ import annotations
@@ -35,22 +36,23 @@ LISTED = 8
 class Images:
     """A folder of pictures. It renders the views that it has a picture of, and trains nothing.
 
-    `metadata.json` may hold the keys that `ndf_mi.methods.base` lists, such as `seconds` (of training) and `note`, others
-    for the report, and `label`, the name in tables; without it the label is the folder's name.
+    `metadata.json` may hold the keys that `ndf_mi.methods.base` lists, such as `seconds` (of training) and
+    `note`, others for the report, and `label`, the name in tables; without it the label is the folder's name.
     """
 
     key, label = "images", "Images"
 
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
         """Raises InputError: pictures are not trained."""
-        raise InputError("method images", "no folder", "images:FOLDER, with pictures as FOLDER/CAMERA/FRAME.png")
+        raise InputError("method images", "no folder",
+                         "images:FOLDER, with pictures as FOLDER/CAMERA/FRAME.png")
 
     def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
         """Finds the pictures of all cameras and frames of the capture's splits.
 
         Raises:
-            InputError: there is no such folder or no picture in it, a frame has two pictures, a picture has the wrong
-                size or is no PNG, or `metadata.json` is not a JSON object.
+            InputError: there is no such folder or no picture in it, a frame has two pictures, a picture has
+                the wrong size or is no PNG, or `metadata.json` is not a JSON object.
         """
         self._folder, self._capture = Path(folder), capture
         if not self._folder.is_dir():
@@ -60,21 +62,22 @@ class Images:
         views = dict.fromkeys(view for split in capture.splits.values() for view in split)
         self._files = {view: file for view in views if (file := self._find(*view)) is not None}
         if not self._files:
-            raise InputError(self._folder, "no picture of any view of the capture", "pictures as CAMERA/FRAME.png",
-                             f"The cameras are {', '.join(capture.cameras)}.")
+            raise InputError(self._folder, "no picture of any view of the capture",
+                             "pictures as CAMERA/FRAME.png", f"The cameras are {', '.join(capture.cameras)}.")
         for (camera, _), file in self._files.items():
             _check_picture(file, capture.cameras[camera])
 
     def check_views(self, views: Sequence[tuple[str, int]]) -> None:
         """Raises InputError, listing what is missing, unless there is a picture of every (camera, frame)."""
-        missing = [f"{camera}/{frame:06d}.png" for camera, frame in views if (camera, frame) not in self._files]
+        missing = [f"{view[0]}/{view[1]:06d}.png" for view in views if view not in self._files]
         if missing:
             more = f" and {len(missing) - LISTED} more" if len(missing) > LISTED else ""
-            raise InputError(self._folder, f"{len(missing)} of {len(views)} pictures missing: {', '.join(missing[:LISTED])}{more}",
+            some = ", ".join(missing[:LISTED])
+            raise InputError(self._folder, f"{len(missing)} of {len(views)} pictures missing: {some}{more}",
                              "a picture of every view that is measured")
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
-        """(h, w, 3) float32 sRGB in [0, 1]: the picture of this camera and frame, over the capture's background.
+        """(h, w, 3) float32 sRGB in [0, 1] over the capture's background.
 
         Raises:
             InputError: there is no such picture, or it can't be decoded.
@@ -84,7 +87,8 @@ class Images:
 
     def metadata(self) -> dict[str, Any]:
         """What `metadata.json` says, the folder and the number of pictures."""
-        return {"note": f"Pictures from {self._folder}.", **self._metadata, "folder": str(self._folder), "pictures": len(self._files)}
+        note = f"Pictures from {self._folder}."
+        return {"note": note, **self._metadata, "folder": str(self._folder), "pictures": len(self._files)}
 
     def cache_key(self) -> str:
         """SHA-256 (hex) over the background and the contents of all pictures."""
@@ -100,7 +104,8 @@ class Images:
         names = dict.fromkeys((f"{frame:06d}.png", f"{frame}.png"))
         found = [file for name in names if (file := self._folder / camera / name).is_file()]
         if len(found) > 1:
-            raise InputError(found[1], f"a second picture of frame {frame}", f"one, {found[0].name} or {found[1].name}")
+            raise InputError(found[1], f"a second picture of frame {frame}",
+                             f"one, {found[0].name} or {found[1].name}")
         return found[0] if found else None
 
 
@@ -121,16 +126,18 @@ def _check_picture(file: Path, camera: Camera) -> None:
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(file, f"a file that can't be read ({error})", "a PNG") from None
     if size != (camera.w, camera.h):
-        raise InputError(file, f"{size[0]} x {size[1]} pixels", f"{camera.w} x {camera.h}, as camera {camera.name} has")
+        raise InputError(file, f"{size[0]} x {size[1]} pixels",
+                         f"{camera.w} x {camera.h}, as camera {camera.name} has")
 
 
 def _read_picture(file: Path, background: np.ndarray) -> np.ndarray:
-    """(h, w, 3) float32 sRGB over a background (3,) sRGB. Mitsuba reads it, because Pillow cuts 16-bit colours to 8 bits."""
+    """(h, w, 3) float32 sRGB over a background (3,) sRGB."""
     try:
-        bitmap = mi.Bitmap(str(file))
-        values = np.atleast_3d(np.array(bitmap))
+        # Pillow would cut 16-bit colours to 8 bits.
+        values = np.atleast_3d(np.array(mi.Bitmap(str(file))))
     except RuntimeError as error:
-        raise InputError(file, f"a file that can't be decoded ({str(error).splitlines()[0]})", "a whole PNG") from None
+        reason = str(error).splitlines()[0]
+        raise InputError(file, f"a file that can't be decoded ({reason})", "a whole PNG") from None
     values = values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)
     alpha = values[..., -1:] if values.shape[2] in (2, 4) else None
     colour = np.repeat(values[..., :1], 3, axis=2) if values.shape[2] < 3 else values[..., :3]

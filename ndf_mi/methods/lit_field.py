@@ -30,8 +30,8 @@ class RelightableField:
     """A run that was trained through scattering.
 
     Args:
-        grid_spacing: spacing in metres of the grid that the field is shown on, as it was trained: several times as fast
-            as the field itself, and blurred by a cell. 0 shows the field itself.
+        grid_spacing: spacing in metres of the grid that the field is shown on, as it was trained: several
+            times as fast as the field itself, and blurred by a cell. 0 shows the field itself.
     """
 
     key, label = "ndf", "NDF"
@@ -41,26 +41,31 @@ class RelightableField:
 
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
         """Raises InputError: `ndf-mi optimise` trains such runs."""
-        raise InputError("method ndf", "no run", "a run trained by: ndf-mi optimise CAPTURE -o RUN --integrator prbvolpath")
+        raise InputError("method ndf", "no run",
+                         "a run trained by: ndf-mi optimise CAPTURE -o RUN --integrator prbvolpath")
 
     def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
         """Reads a run.
 
         Raises:
-            InputError: it can't be read, was trained on another capture, or its colours hold the light that they were seen in.
+            InputError: it can't be read, was trained on another capture, or its colours hold the light that
+                they were seen in.
         """
         run = Run.load(folder)
         config = run.path / "config.json"
         training = run.config.get("training") or {}
-        if training.get("integrator") not in SCATTERING:
-            raise InputError(f"{config}: training.integrator", repr(training.get("integrator", "ndf_quadrature")),
-                             f"one of {', '.join(SCATTERING)}: the colours of other runs hold the light that they were seen in",
+        integrator = training.get("integrator", "ndf_quadrature")
+        if integrator not in SCATTERING:
+            raise InputError(f"{config}: training.integrator", repr(integrator),
+                             f"one of {', '.join(SCATTERING)}: the colours of other runs hold the light that "
+                             "they were seen in",
                              "Train one by: ndf-mi optimise CAPTURE -o RUN --integrator prbvolpath")
         if not run.scattered:
             raise InputError(f"{config}: trained.steps", str(run.config["trained"]["steps"]),
-                             f"more than the {training['warm_up']} steps by quadrature (warm_up), whose colours hold the light that they "
-                             "were seen in", "Continue by: ndf-mi optimise CAPTURE -o RUN --resume. If it has finished, train another "
-                             "one with more steps or seconds, or a smaller warm_up.")
+                             f"more than the {training['warm_up']} steps by quadrature (warm_up), whose colours "
+                             "hold the light that they were seen in",
+                             "Continue by: ndf-mi optimise CAPTURE -o RUN --resume. If it has finished, train "
+                             "another one with more steps or seconds, or a smaller warm_up.")
         expect_capture(run, capture)
         self._run = run
 
@@ -72,7 +77,8 @@ class RelightableField:
         config = self._run.config
         trained = config.get("trained", {})
         return {"preset": config["preset"], "training": config["training"], "seconds": trained.get("seconds"),
-                "steps": trained.get("steps"), "max_depth": int(config["training"]["max_depth"]), "grid_spacing": self._spacing}
+                "steps": trained.get("steps"), "max_depth": int(config["training"]["max_depth"]),
+                "grid_spacing": self._spacing}
 
     def under(self, light: Light, frames: Sequence[int], spp: int) -> LitField:
         """The field in some light, rendered by Mitsuba's `volpath`; arguments as in `Relightable.under`."""
@@ -93,7 +99,8 @@ class LitField:
 
     key, label = RelightableField.key, RelightableField.label
 
-    def __init__(self, run: Run, light: Light, frames: Sequence[int], spp: int, spacing: float, metadata: dict[str, Any]) -> None:
+    def __init__(self, run: Run, light: Light, frames: Sequence[int], spp: int, spacing: float,
+                 metadata: dict[str, Any]) -> None:
         self._run = run
         self._light = light
         self._spp = spp
@@ -127,8 +134,8 @@ class LitField:
 
     def cache_key(self) -> str:
         """SHA-256 (hex) over the field's parameters, the light and how they are rendered."""
-        settings = f"{self._light.name} {self._spp} {self._depth} {LAYERS} {self._spacing} {self._run.config['preset']}"
-        state = hashlib.sha256(settings.encode())
+        settings = (self._light.name, self._spp, self._depth, LAYERS, self._spacing, self._run.config["preset"])
+        state = hashlib.sha256(" ".join(map(str, settings)).encode())
         for name, values in sorted(self._run.field_tensors().items()):
             state.update(name.encode() + values.tobytes())
         return state.hexdigest()

@@ -19,17 +19,25 @@ from ndf_mi.methods.base import Budget, Light, Progress
 from ndf_mi.methods.lit import noise_psnr
 from ndf_mi.methods.lit_surface import LitSurface, ReflectanceFit
 from ndf_mi.methods.mesh import RENDER_SPP
-from ndf_mi.methods.mesh_record import MeshRecord, metadata_of, read_record, read_tensors, record_of, write_mesh
+from ndf_mi.methods.mesh_record import (
+    MeshRecord,
+    metadata_of,
+    read_record,
+    read_tensors,
+    record_of,
+    texture_shapes,
+    write_mesh,
+)
 from ndf_mi.render.lights import lights as lights_of
 from ndf_mi.surface.texture_fit import fit_texture
 
 
 class RelightableMesh:
-    """The posed body with a diffuse texture, path traced among the capture's lights with interreflection, as synthetic captures are.
+    """The posed body with a diffuse texture, path traced with interreflection, as synthetic captures are.
 
     Args:
         texture: texels a side.
-        rate: Adam's learning rate; None takes the best of a sweep.
+        rate: Adam's learning rate; None searches for the best.
     """
 
     key, label = "mesh", "Diffuse mesh"
@@ -42,7 +50,8 @@ class RelightableMesh:
         """Fits the reflectance under the capture's own light, which must be known."""
         self._capture = capture
         surface = LitSurface(capture, self._size, lights_of(capture.known_lighting()))
-        fitted = fit_texture(surface, capture, self._size, self._rate, budget.seconds, budget.seed, progress, ReflectanceFit)
+        fitted = fit_texture(surface, capture, self._size, self._rate, budget.seconds, budget.seed, progress,
+                             make=ReflectanceFit)
         self._texture, self._seen = fitted.texture, fitted.seen
         self._record = record_of(MeshRecord, fitted, budget, capture)
 
@@ -59,7 +68,7 @@ class RelightableMesh:
         self._capture = capture
         self._record = read_record(folder, MeshRecord, capture)
         size = self._record.size
-        tensors = read_tensors(folder, {"texture": (np.float32, (size, size, 3)), "seen": (np.uint8, (size, size))})
+        tensors = read_tensors(folder, texture_shapes(size))
         self._texture, self._seen = tensors["texture"], tensors["seen"].astype(bool)
 
     def metadata(self) -> dict[str, Any]:
@@ -84,7 +93,8 @@ class LitMesh:
 
     key, label = RelightableMesh.key, RelightableMesh.label
 
-    def __init__(self, capture: Capture, texture: np.ndarray, light: Light, spp: int, metadata: dict[str, Any]) -> None:
+    def __init__(self, capture: Capture, texture: np.ndarray, light: Light, spp: int,
+                 metadata: dict[str, Any]) -> None:
         self._poses = capture.poses
         self._texture = texture
         self._light = light
@@ -108,5 +118,5 @@ class LitMesh:
 
     def cache_key(self) -> str:
         """SHA-256 (hex) over texture, light, capture and samples a pixel."""
-        mesh = hashlib.sha256(f"{RENDER_SPP} {self._metadata['capture']}".encode() + self._texture.tobytes()).hexdigest()
-        return hashlib.sha256(f"{self._light.name} {self._spp} {mesh}".encode()).hexdigest()
+        mesh = hashlib.sha256(f"{RENDER_SPP} {self._metadata['capture']}".encode() + self._texture.tobytes())
+        return hashlib.sha256(f"{self._light.name} {self._spp} {mesh.hexdigest()}".encode()).hexdigest()

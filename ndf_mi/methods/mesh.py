@@ -1,4 +1,4 @@
-"""The textured mesh: the posed body with one texture for all frames, what a Mitsuba user would do without a neural field."""
+"""The textured mesh: the posed body with one texture for all frames, a baseline without a neural field."""
 
 from __future__ import annotations
 
@@ -11,7 +11,15 @@ import numpy as np
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.methods.base import Budget, Progress
-from ndf_mi.methods.mesh_record import MeshRecord, metadata_of, read_record, read_tensors, record_of, write_mesh
+from ndf_mi.methods.mesh_record import (
+    MeshRecord,
+    metadata_of,
+    read_record,
+    read_tensors,
+    record_of,
+    texture_shapes,
+    write_mesh,
+)
 from ndf_mi.surface.texture_fit import fit_texture
 from ndf_mi.surface.textured import TexturedSurface
 
@@ -19,11 +27,12 @@ RENDER_SPP = 64
 
 
 class TexturedMesh:
-    """The body emits the texture. It shows nothing off the body's surface, and nothing that changes with pose or view.
+    """The body emits the texture. It shows nothing off the body's surface, and nothing that changes with pose
+    or view.
 
     Args:
         texture: texels a side of the square texture.
-        rate: Adam's learning rate; None takes the best of a sweep.
+        rate: Adam's learning rate; None searches for the best.
     """
 
     key, label = "mesh", "Mesh"
@@ -35,7 +44,8 @@ class TexturedMesh:
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
         """Fits the texture by Adam on the sRGB mean squared error, one random frame a step."""
         self._surface = TexturedSurface(capture, self._size)
-        fitted = fit_texture(self._surface, capture, self._size, self._rate, budget.seconds, budget.seed, progress)
+        fitted = fit_texture(self._surface, capture, self._size, self._rate, budget.seconds, budget.seed,
+                             progress)
         self._texture, self._seen = fitted.texture, fitted.seen
         self._record = record_of(MeshRecord, fitted, budget, capture)
 
@@ -66,6 +76,6 @@ class TexturedMesh:
         """
         self._record = read_record(folder, MeshRecord, capture)
         size = self._record.size
-        tensors = read_tensors(folder, {"texture": (np.float32, (size, size, 3)), "seen": (np.uint8, (size, size))})
+        tensors = read_tensors(folder, texture_shapes(size))
         self._texture, self._seen = tensors["texture"], tensors["seen"].astype(bool)
         self._surface = TexturedSurface(capture, size)

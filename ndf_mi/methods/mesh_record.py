@@ -28,15 +28,17 @@ class MeshRecord(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
         version: of the format.
         size: texels a side.
         rate: Adam's first learning rate of the texture, in sRGB units a step.
-        sweep: training loss that each rate tried had reached, keyed by the rate as text.
-        sweep_seconds: wall-clock seconds of all sweeps; not part of `seconds`.
+        sweep: training loss that each rate tried had reached, keyed by the rate as text; empty if it was
+            given.
+        sweep_seconds: wall-clock seconds of all searches; not part of `seconds`.
         budget: seconds that were given; None for training to convergence.
         seconds, steps: wall-clock seconds and steps of training.
         converged: whether training ended because the loss stopped falling.
         seen: share of the texels that training images touched.
         seed: of the order of images and of the samples.
         capture: digest of the capture.
-        history: [step, seconds, loss], means over windows; the loss is the sRGB mean squared error in the body's rectangle.
+        history: [step, seconds, loss], means over windows; the loss is the sRGB mean squared error in the
+            rectangle of the body.
     """
 
     version: int = VERSION
@@ -57,14 +59,24 @@ class MeshRecord(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 R = TypeVar("R", bound=MeshRecord)
 
 
-def record_of(kind: type[R], fitted: FittedTexture, budget: Budget, capture: Capture, **more: Any) -> R:
-    """The record of a fit; `more` are the members that `kind` adds to `MeshRecord`."""
-    t = fitted.training
+def record_of(kind: type[R], fitted: FittedTexture, budget: Budget, capture: Capture,
+              sweep_seconds: float = 0.0, **more: Any) -> R:
+    """The record of a fit.
+
+    Args:
+        kind: the kind of record.
+        fitted: the texture.
+        budget, capture: those of `Method.fit`.
+        sweep_seconds: of other searches than the texture's.
+        more: the members that `kind` adds to `MeshRecord`.
+    """
+    rate, training = fitted.search, fitted.training
     return kind(
-        size=len(fitted.texture), rate=t.rate, sweep=t.sweep, sweep_seconds=t.sweep_seconds, budget=budget.seconds, seconds=t.seconds,
-        steps=t.steps, converged=t.converged, seen=float(fitted.seen.mean()), seed=budget.seed, capture=capture.digest,
-        history=t.history, **more,
-    )
+        size=len(fitted.texture), rate=rate.rate, sweep=rate.losses,
+        sweep_seconds=rate.seconds + sweep_seconds,
+        budget=budget.seconds, seconds=training.seconds, steps=training.steps, converged=training.converged,
+        seen=float(fitted.seen.mean()), seed=budget.seed, capture=capture.digest, history=training.history,
+        **more)
 
 
 def metadata_of(record: MeshRecord, tuned: tuple[str, ...] = ("rate",)) -> dict[str, Any]:
@@ -75,7 +87,13 @@ def metadata_of(record: MeshRecord, tuned: tuple[str, ...] = ("rate",)) -> dict[
 
 
 def write_mesh(folder: str | os.PathLike[str], record: MeshRecord, tensors: dict[str, np.ndarray]) -> None:
-    """Writes a mesh; `tensors` are `texture` (size, size, 3) float32 sRGB, `seen` (size, size) uint8 and the method's own."""
+    """Writes a mesh.
+
+    Args:
+        folder: where to.
+        record: for `mesh.json`.
+        tensors: `texture` (size, size, 3) float32 sRGB, `seen` (size, size) uint8, and the method's own.
+    """
     folder = Path(folder)
     with files.replacing(folder / "texture.png") as beside:
         mi.Bitmap(np.round(np.clip(tensors["texture"], 0, 1) * 255).astype(np.uint8)).write(str(beside))
@@ -88,7 +106,8 @@ def read_record(folder: str | os.PathLike[str], kind: type[R], capture: Capture)
     """Reads `mesh.json`.
 
     Raises:
-        InputError: it is missing, has an entry of the wrong kind or range, or is of another version or capture.
+        InputError: it is missing, has an entry of the wrong kind or range, or is of another version or
+            capture.
     """
     file = Path(folder) / "mesh.json"
     expected = f"a mesh of version {VERSION} as `ndf-mi compare` writes it"
@@ -99,14 +118,21 @@ def read_record(folder: str | os.PathLike[str], kind: type[R], capture: Capture)
     if record.version != VERSION:
         raise InputError(f"{file}: version", str(record.version), str(VERSION))
     if record.size < 1 or not record.rate > 0:
-        raise InputError(f"{file}: size, rate", f"{record.size}, {record.rate}", "a whole number and a number, both above 0")
+        raise InputError(f"{file}: size, rate", f"{record.size}, {record.rate}",
+                         "a whole number and a number, both above 0")
     if record.capture != capture.digest:
-        raise InputError(f"{file}: capture", f"the digest {record.capture[:12]}", f"{capture.digest[:12]}, that of {capture.path}")
+        raise InputError(f"{file}: capture", f"the digest {record.capture[:12]}",
+                         f"{capture.digest[:12]}, that of {capture.path}")
     return record
 
 
-def read_tensors(folder: str | os.PathLike[str], shapes: dict[str, tuple[type[np.generic], tuple[int, ...]]]) -> dict[str, np.ndarray]:
-    """Reads `mesh.safetensors`; `shapes` has the type and shape of each tensor by its name.
+def read_tensors(folder: str | os.PathLike[str],
+                 shapes: dict[str, tuple[type[np.generic], tuple[int, ...]]]) -> dict[str, np.ndarray]:
+    """Reads `mesh.safetensors`.
+
+    Args:
+        folder: of the mesh.
+        shapes: type and shape of each tensor, by its name.
 
     Raises:
         InputError: the file is missing or damaged, or a tensor has another type or shape.
@@ -122,3 +148,8 @@ def read_tensors(folder: str | os.PathLike[str], shapes: dict[str, tuple[type[np
             what = "nothing" if found is None else f"{found.dtype} of shape {found.shape}"
             raise InputError(f"{file}: {name}", what, f"{np.dtype(kind)} of shape {shape}")
     return {name: tensors[name] for name in shapes}
+
+
+def texture_shapes(size: int) -> dict[str, tuple[type[np.generic], tuple[int, ...]]]:
+    """Type and shape of the tensors that every mesh has, for `read_tensors`."""
+    return {"texture": (np.float32, (size, size, 3)), "seen": (np.uint8, (size, size))}

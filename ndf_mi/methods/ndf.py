@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,18 @@ from ndf_mi.render.image import RECIPE, ImageRenderer
 from ndf_mi.run import Run
 from ndf_mi.training_log import read_training_log
 
+HISTORY = ("step", "seconds", "loss")
+"""Keys of a logged step that the training curve takes."""
+
+UNLIMITED = 10**9
+"""Steps of a training that its seconds limit."""
+
 
 class NeuralField:
     """A field rendered by quadrature, one ray through each pixel's centre, without jitter.
 
-    Its folder is that of a run. A run that was trained through scattering cannot be loaded: its colours are an albedo.
+    Its folder is that of a run. A run that was trained through scattering cannot be loaded: its colours are
+    an albedo.
 
     Args:
         samples: candidate samples a ray.
@@ -59,15 +67,17 @@ class NeuralField:
         return self._run
 
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
-        """Trains a run by the default schedule, which is as long as the budget; without seconds, it has the default number of steps.
+        """Trains a run by the default schedule, which is as long as the budget; without seconds, it has the
+        default number of steps.
 
         Args:
             capture: with a `train` split.
             budget: how long.
             progress: not called; the training prints its own progress bar on a terminal.
         """
-        options = TrainingOptions(seed=budget.seed) if budget.seconds is None else TrainingOptions(
-            seed=budget.seed, seconds=budget.seconds, steps=10**9)
+        options = TrainingOptions(seed=budget.seed)
+        if budget.seconds is not None:
+            options = replace(options, seconds=budget.seconds, steps=UNLIMITED)
         self._scratch = tempfile.TemporaryDirectory(prefix="ndf-mi-")
         trainer = start(Path(self._scratch.name) / "run", capture, self._preset, options)
         train(trainer)
@@ -77,14 +87,16 @@ class NeuralField:
         """Reads a run.
 
         Raises:
-            InputError: the run can't be read, was trained on another capture, or was trained through scattering.
+            InputError: the run can't be read, was trained on another capture, or was trained through
+                scattering.
         """
         run = Run.load(folder)
         expect_capture(run, capture)
         integrator = (run.config.get("training") or {}).get("integrator")
         if integrator in SCATTERING:
-            raise InputError(f"{run.path / 'config.json'}: training.integrator", repr(integrator), "a run trained by ndf_quadrature",
-                             "The colours of this run are an albedo and not the light it sends out: show it by `ndf-mi relight`.")
+            raise InputError(f"{run.path / 'config.json'}: training.integrator", repr(integrator),
+                             "a run trained by ndf_quadrature",
+                             "The colours of this run are an albedo: show it by `ndf-mi relight`.")
         self._take(run)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
@@ -101,7 +113,9 @@ class NeuralField:
         return self._renderer(self.run.posed(frame), camera).over(self.run.background)
 
     def metadata(self) -> dict[str, Any]:
-        """The optional keys of `methods.base`, and `preset`, `training` (all options of both), and `samples` a ray."""
+        """The optional keys of `methods.base`, and `preset`, `training` (all options of both), and `samples`
+        a ray.
+        """
         config = self.run.config
         trained = config.get("trained", {})
         return {
@@ -113,7 +127,7 @@ class NeuralField:
             "steps": trained.get("steps"),
             "samples": self._renderer.samples,
             "options": {"samples": self._renderer.samples},
-            "history": [[row["step"], row["seconds"], row["loss"]] for row in self._history if {"step", "seconds", "loss"} <= row.keys()],
+            "history": [[row[key] for key in HISTORY] for row in self._history if row.keys() >= set(HISTORY)],
         }
 
     def cache_key(self) -> str:

@@ -1,4 +1,4 @@
-"""The textured mesh with offsets: the vertices are fitted along with the texture, what a Mitsuba user would do next."""
+"""The textured mesh with offsets: a baseline whose vertices are fitted along with the texture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,15 @@ import numpy as np
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.methods.base import Budget, Progress
-from ndf_mi.methods.mesh_record import MeshRecord, metadata_of, read_record, read_tensors, record_of, write_mesh
+from ndf_mi.methods.mesh_record import (
+    MeshRecord,
+    metadata_of,
+    read_record,
+    read_tensors,
+    record_of,
+    texture_shapes,
+    write_mesh,
+)
 from ndf_mi.surface.offset_fit import fit_offsets
 from ndf_mi.surface.rest_frames import RestFrames
 from ndf_mi.surface.textured import TexturedSurface
@@ -38,18 +46,19 @@ class OffsetRecord(MeshRecord, forbid_unknown_fields=True, kw_only=True):
 class OffsetMesh:
     """The posed body, moved by one set of vertex offsets for all frames, emits a texture.
 
-    The offsets belong to the body at rest and move with its skin: the clothed shape is learned, changes of its wrinkles
-    with the pose are not. Topology and texture coordinates stay.
+    The offsets belong to the body at rest and move with its skin: the clothed shape is learned, changes of
+    its wrinkles with the pose are not. Topology and texture coordinates stay.
 
     Args:
         texture: texels a side of the square texture.
-        rate: Adam's learning rate of the texture; None takes the best of a sweep.
-        offset_rate: first step of the offsets, metres; None takes the best of a sweep.
+        rate: Adam's learning rate of the texture; None searches for the best.
+        offset_rate: first step of the offsets, metres; None searches for the best.
     """
 
     key, label = "offset-mesh", "Mesh with offsets"
 
-    def __init__(self, texture: int = 512, rate: float | None = None, offset_rate: float | None = None) -> None:
+    def __init__(self, texture: int = 512, rate: float | None = None,
+                 offset_rate: float | None = None) -> None:
         self._size = texture
         self._rate = rate
         self._offset_rate = offset_rate
@@ -62,13 +71,14 @@ class OffsetMesh:
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
         """Fits texture and offsets together."""
         self._place(capture, self._size)
-        fitted = fit_offsets(
-            self._surface, self._rest, capture, self._size, self._rate, self._offset_rate, budget.seconds, budget.seed, progress)
+        fitted = fit_offsets(self._surface, self._rest, capture, self._size, self._rate, self._offset_rate,
+                             budget.seconds, budget.seed, progress)
         self._offsets = fitted.offsets
         self._texture, self._seen = fitted.texture.texture, fitted.texture.seen
         lengths = 1000 * np.linalg.norm(self._offsets, axis=1)
         self._record = record_of(
-            OffsetRecord, fitted.texture, budget, capture, offset_rate=fitted.rate, offset_sweep=fitted.sweep,
+            OffsetRecord, fitted.texture, budget, capture, sweep_seconds=fitted.search.seconds,
+            offset_rate=fitted.search.rate, offset_sweep=fitted.search.losses,
             offset_median_mm=float(np.median(lengths)), offset_max_mm=float(lengths.max()))
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
@@ -80,7 +90,8 @@ class OffsetMesh:
         """The members of `OffsetRecord`, and the keys that `methods.base` lists."""
         r = self._record
         note = (f"Learning rate {r.rate:g}, first step of the offsets {r.offset_rate:g} m. "
-                f"The offsets are {r.offset_median_mm:.0f} mm in the median and {r.offset_max_mm:.0f} mm at most.")
+                f"The offsets are {r.offset_median_mm:.0f} mm in the median and at most "
+                f"{r.offset_max_mm:.0f} mm.")
         return {**metadata_of(r, ("rate", "offset_rate")), "note": note}
 
     def cache_key(self) -> str:
@@ -103,9 +114,10 @@ class OffsetMesh:
         self._record = read_record(folder, OffsetRecord, capture)
         size = self._record.size
         self._place(capture, size)
-        tensors = read_tensors(folder, {"texture": (np.float32, (size, size, 3)), "seen": (np.uint8, (size, size)),
-                                        "offsets": (np.float32, self._rest.vertices.shape)})
-        self._texture, self._seen, self._offsets = tensors["texture"], tensors["seen"].astype(bool), tensors["offsets"]
+        shapes = texture_shapes(size) | {"offsets": (np.float32, self._rest.vertices.shape)}
+        tensors = read_tensors(folder, shapes)
+        self._texture, self._seen = tensors["texture"], tensors["seen"].astype(bool)
+        self._offsets = tensors["offsets"]
 
     def _place(self, capture: Capture, size: int) -> None:
         self._surface, self._rest = TexturedSurface(capture, size), RestFrames(capture)

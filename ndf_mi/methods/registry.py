@@ -7,12 +7,14 @@ To add a method, write a class with the members of `ndf_mi.methods.base.Method` 
         key, label = "grey", "Grey"
         ...
 
-The class is created without arguments, or with those options of the experiment that its constructor has parameters for,
-by name: `texture` (texels a side), `samples` (samples a ray), and what `metadata()["tuned"]` of another training found.
+The class is created without arguments, or with those options of the experiment that its constructor has
+parameters for,
+by name: `texture` (texels a side), `samples` (samples a ray), and what `metadata()["tuned"]` of another
+    training found.
 
-On a command line, a method is KEY[:FOLDER][@BUDGET]. With a folder it is loaded from there. Without one it is trained:
-`@converged` to convergence, `@equal-time` for as long as the run that it is compared with, and without either as the
-experiment decides.
+On a command line, a method is KEY[:FOLDER][@BUDGET]. With a folder it is loaded from there. Without one it is
+trained: `@converged` to convergence, `@equal-time` for as long as the run that it is compared with, and
+without either as the experiment decides.
 """
 
 from __future__ import annotations
@@ -49,7 +51,7 @@ class Entry:
     trains: bool = True
 
     def create(self, options: Mapping[str, Any] | None = None) -> Method:
-        """A method that is neither trained nor loaded yet, with those of the options that its constructor accepts."""
+        """A method that is neither trained nor loaded, made with those of the options that it accepts."""
         return self._make()(**self.accepted(options or {}))
 
     def accepted(self, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -73,7 +75,8 @@ _ENTRIES = {
 
 
 def register(method: T, trains: bool = True) -> T:
-    """Registers a class of methods under its `key`, in place of one that had this key before; also a class decorator.
+    """Registers a class of methods under its `key`, in place of one that had this key before; also a class
+    decorator.
 
     Args:
         method: the class.
@@ -121,14 +124,16 @@ class MethodSpec:
         return f"{self.key}-{more}" if more else self.key
 
     def __str__(self) -> str:
-        return self.key + ("" if self.folder is None else f":{self.folder}") + ("" if self.budget is None else f"@{self.budget}")
+        folder = "" if self.folder is None else f":{self.folder}"
+        return self.key + folder + ("" if self.budget is None else f"@{self.budget}")
 
 
 def parse_spec(text: str) -> MethodSpec:
     """Reads KEY[:FOLDER][@BUDGET].
 
     Raises:
-        InputError: no such method or budget, a folder with a budget, or a method that needs a folder without one.
+        InputError: no such method or budget, a folder with a budget, or a method that needs a folder without
+            one.
     """
     head, colon, folder = text.strip().partition(":")
     head, at, budget = head.partition("@")
@@ -136,7 +141,8 @@ def parse_spec(text: str) -> MethodSpec:
     if at and budget not in BUDGETS:
         raise InputError(f"method {text!r}", f"the budget {budget!r}", f"one of {', '.join(BUDGETS)}")
     if colon and (at or folder.endswith(tuple(f"@{name}" for name in BUDGETS))):
-        raise InputError(f"method {text!r}", "a folder and a budget", "one of the two: what a folder holds is not trained again")
+        raise InputError(f"method {text!r}", "a folder and a budget",
+                         "one of the two: what a folder holds is not trained again")
     if colon and not folder:
         raise InputError(f"method {text!r}", "an empty folder name", FORM)
     if not (colon or known.trains):
@@ -145,7 +151,8 @@ def parse_spec(text: str) -> MethodSpec:
 
 
 def parse_specs(texts: str | Iterable[str]) -> list[MethodSpec]:
-    """Reads methods separated by commas. A folder with a comma in its name must come as an item of its own list.
+    """Reads methods separated by commas. A folder with a comma in its name must come as an item of its own
+    list.
 
     Args:
         texts: one text that commas separate, or one text a method.
@@ -159,7 +166,8 @@ def parse_specs(texts: str | Iterable[str]) -> list[MethodSpec]:
         raise InputError("methods", "none", f"at least one of {', '.join(keys())}, as {FORM}")
     for index, spec in enumerate(specs):
         if any(spec.name == other.name for other in specs[:index]):
-            raise InputError("methods", f"two named {spec.name}", "methods that differ in key, budget or the folder's last name")
+            raise InputError("methods", f"two named {spec.name}",
+                             "methods that differ in key, budget or the folder's last name")
     return specs
 
 

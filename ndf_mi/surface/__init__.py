@@ -1,1 +1,3 @@
-"""The body as a mesh that emits a texture, and its fits to images: texture, vertex offsets, contours."""
+"""The body's surface fitted to images: a texture, vertex offsets, or both. `fit_texture` and `fit_offsets`
+are the doors.
+"""

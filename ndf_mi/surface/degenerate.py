@@ -1,52 +1,60 @@
-"""Whether offsets leave a mesh sound: triangles that have turned over or become slivers, and repairing them."""
+"""Degenerate triangles that vertex offsets make, turned over or without area, and their repair."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sparse
 
-#: A triangle's shape may fall to this, or to this share of what it was, whichever is lower.
-MIN_SHAPE = 0.05
+MIN_QUALITY = 0.05
+"""Smallest quality of a triangle, or smallest share of its quality at rest, whichever is lower."""
 
 
-def shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(F,) 4√3·area / Σ edge²: 1 for an equilateral triangle, 0 for one without area."""
+def triangle_quality(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(F,) 4√3·area / Σ edge²: 1 for an equilateral triangle, 0 for one without area.
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 3).
+    """
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     squared = sum(((q - p) ** 2).sum(1) for p, q in ((a, b), (b, c), (c, a)))
     return 2 * np.sqrt(3) * np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.maximum(squared, 1e-30)
 
 
-def unsound(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(F,) bool: triangles that the offsets turn by more than a right angle, or make slivers (`MIN_SHAPE`).
+def degenerate_triangles(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(F,) bool: triangles that the offsets turn by more than a right angle, or whose quality they make too
+    low.
 
     Args:
         rest, offsets: (V, 3) metres.
         faces: (F, 3).
     """
-    now = rest + offsets
-    turned = (_normals(rest, faces) * _normals(now, faces)).sum(1) < 0
-    return turned | (shapes(now, faces) < MIN_SHAPE * np.minimum(1, shapes(rest, faces)))
+    moved = rest + offsets
+    turned = (_normals(rest, faces) * _normals(moved, faces)).sum(1) < 0
+    least = MIN_QUALITY * np.minimum(1, triangle_quality(rest, faces))
+    return turned | (triangle_quality(moved, faces) < least)
 
 
-def repair(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarray, sound: np.ndarray | None = None) -> np.ndarray:
-    """Offsets, (V, 3), under which no triangle is unsound: around those that are, what they were before.
+def repair(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarray,
+           known: np.ndarray | None = None) -> np.ndarray:
+    """(V, 3) float64 offsets without degenerate triangles: around these, the offsets return to known ones.
 
-    The region that goes back grows until nothing is left to repair, which ends, because offsets that were sound everywhere are so
-    again at the latest when all have gone back. Averaging with neighbours in place of going back could flatten much of the
-    body for the sake of one finger. Intersections of parts of the surface that are far apart along it are not looked for.
+    The region that returns grows until no triangle is degenerate. That ends: at the latest, all offsets have
+    returned. Smoothing would not do instead, because it could flatten much of the body for the sake of one
+    finger. Intersections of parts of the surface that are far apart along it are not found.
 
     Args:
         rest, offsets: (V, 3) metres.
         faces: (F, 3).
-        sound: (V, 3) offsets to go back to, under which no triangle is unsound; none at all by default.
+        known: (V, 3) offsets that make no triangle degenerate; zero by default.
     """
-    neighbours = _averaging(faces, len(rest))
+    neighbours = _adjacency(faces, len(rest))
     offsets = np.array(offsets, dtype=np.float64, order="C")
-    back = np.zeros_like(offsets) if sound is None else sound
+    back = np.zeros_like(offsets) if known is None else known
     region = np.zeros(len(rest), dtype=bool)
-    while (bad := unsound(rest, offsets, faces)).any():
+    while (bad := degenerate_triangles(rest, offsets, faces)).any():
         region[faces[bad]] = True
-        region = region | (neighbours @ region > 0)
+        region |= neighbours @ region
         if region.all():
             return np.array(back, dtype=np.float64)
         offsets[region] = back[region]
@@ -58,10 +66,7 @@ def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.cross(b - a, c - a)
 
 
-def _averaging(faces: np.ndarray, count: int) -> sparse.csr_matrix:
-    """(V, V) the mean over the neighbours of each vertex."""
+def _adjacency(faces: np.ndarray, count: int) -> sparse.csr_matrix:
+    """(V, V) bool: which vertices an edge joins."""
     i, j = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
-    joined = sparse.coo_matrix((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), (count, count)).tocsr()
-    joined.data[:] = 1
-    degree = np.maximum(np.asarray(joined.sum(axis=1)).ravel(), 1)
-    return sparse.csr_matrix(sparse.diags(1 / degree) @ joined)
+    return sparse.csr_matrix((np.ones(2 * len(i), dtype=bool), (np.r_[i, j], np.r_[j, i])), (count, count))

@@ -1,4 +1,4 @@
-"""Offsets from the body in a frame that moves with the skin, and where they are in world space in each frame."""
+"""Vertex offsets in frames that move with the skin, and their positions in world space."""
 
 from __future__ import annotations
 
@@ -10,12 +10,18 @@ from ndf_mi.capture.capture import Capture
 
 
 class RestFrames:
-    """Takes offsets at rest to world space: V_i = vertices_i + A_i d_i, with A_i a 3 × 3 matrix for each vertex and frame.
+    """Maps offsets at rest to world space: V_i = vertices_i + A_i d_i, with a 3 × 3 matrix A_i for each
+    vertex and frame.
 
-    With a skinning model, rest is the model's, at the capture's shape, and A_i the linear part of the vertex's blended
-    joint transforms: the offset body is what the same skinning makes of the template with d added to it. Without one,
-    rest is the mesh of the first training frame (of the first pose where there is none), and A_i turns the vertex's
-    tangent frame there into its tangent frame now: the normal, and the direction of one edge in the tangent plane.
+    With a skinning model, rest is the model's, at the capture's shape, and A_i is the linear part of the
+    vertex's blended
+    joint transforms: the result is what the same skinning makes of the template plus d. Without one, rest is
+    the mesh of the first training frame (of the first pose if there is none), and A_i turns the vertex's
+    tangent frame there into its
+    tangent frame now: the normal, and the direction of one edge in the tangent plane.
+
+    Args:
+        capture: whose body and poses are used.
 
     Attributes:
         vertices: (V, 3) float64, the mesh at rest, metres.
@@ -37,14 +43,15 @@ class RestFrames:
         self._joints: dict[int, np.ndarray] = {}
 
     def linear(self, frame: int) -> np.ndarray:
-        """(V, 3, 3) A_i of a frame. InputError names the frames there are."""
+        """(V, 3, 3) A_i of a frame. Raises InputError listing the frames if there is none such."""
         row = self._poses.index(frame)
         if not self._body.skinned:
             now = self._tangent_frames(self._poses.vertices[row].astype(np.float64))
             return np.einsum("vij,vkj->vik", now, self._frames)
         if row not in self._joints:
             p = self._poses
-            moved = joint_transforms(self._body, p.pose[row], p.root_rotation[row], p.translation[row], p.shape)
+            moved = joint_transforms(
+                self._body, p.pose[row], p.root_rotation[row], p.translation[row], p.shape)
             self._joints[row] = moved.matrices.numpy().reshape(-1, 3, 4)[:, :, :3].reshape(-1, 9)
         return (self._body.weights @ self._joints[row]).reshape(-1, 3, 3)
 
@@ -53,8 +60,10 @@ class RestFrames:
         base = self._poses.vertices[self._poses.index(frame)]
         return base + np.einsum("vij,vj->vi", self.linear(frame), offsets).astype(np.float32)
 
-    def pull_back(self, frame: int, gradient: np.ndarray) -> np.ndarray:
-        """(V, 3): a gradient with respect to world positions, as one with respect to the offsets: A_iᵀ g_i."""
+    def vjp(self, frame: int, gradient: np.ndarray) -> np.ndarray:
+        """(V, 3) the gradient in the offsets, A_iᵀ g_i, of a loss with this gradient (V, 3) in world
+        positions.
+        """
         return np.einsum("vij,vi->vj", self.linear(frame), gradient)
 
     def _tangent_frames(self, vertices: np.ndarray) -> np.ndarray:
@@ -67,7 +76,7 @@ class RestFrames:
 
 
 def _a_neighbour(faces: np.ndarray, count: int) -> np.ndarray:
-    """(V,) for each vertex another one that an edge joins to it; itself where there is none."""
+    """(V,) a vertex that an edge joins to each vertex; itself where there is none."""
     neighbour = np.arange(count)
     neighbour[faces.ravel()] = faces[:, [1, 2, 0]].ravel()
     return neighbour
@@ -78,6 +87,6 @@ def _tangential(vectors: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _unit(vectors: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """Unit vectors; `otherwise` where the length is next to nothing."""
+    """Unit vectors; `otherwise` where the length is almost zero."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.where(length > 1e-12, vectors / np.maximum(length, 1e-12), otherwise)

@@ -1,4 +1,6 @@
-"""Smoothing on a triangle mesh by a length in metres: the preconditioner that keeps offsets under optimisation smooth."""
+"""Smoothing on a triangle mesh by a length in metres: the preconditioner that keeps offsets under
+optimisation smooth.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +8,17 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import splu
 
-#: Cotangent weights are held within these, so that slivers and obtuse pairs keep the operator positive and connected.
 _WEIGHTS = (0.05, 20.0)
+"""Limits of cotangent weights: with them, slivers and obtuse triangles leave the operator positive and
+connected.
+"""
 
 
 def cotangent_stiffness(vertices: np.ndarray, faces: np.ndarray) -> sparse.csc_matrix:
-    """The stiffness matrix C of linear finite elements, (V, V): xᵀCx = ∫ |∇x|², entries -(cot α + cot β)/2 off the diagonal.
+    """The stiffness matrix C of linear finite elements, (V, V): xᵀCx = ∫ |∇x|², entries -(cot α + cot β)/2
+    off the diagonal.
 
-    The weight of each edge is held within 0.05 and 20. Rows sum to zero.
+    The weight of each edge is clipped to [0.05, 20]. Rows sum to zero.
 
     Args:
         vertices: (V, 3) metres.
@@ -28,7 +33,8 @@ def cotangent_stiffness(vertices: np.ndarray, faces: np.ndarray) -> sparse.csc_m
         columns.append(np.maximum(j, k))
         values.append(0.5 * (a * b).sum(1) / np.maximum(doubled, 1e-12))
     count = len(vertices)
-    upper = sparse.coo_matrix((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (count, count))
+    entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
+    upper = sparse.coo_matrix(entries, (count, count))
     upper.sum_duplicates()
     upper.data = np.clip(upper.data, *_WEIGHTS)
     weights = upper + upper.T
@@ -36,7 +42,7 @@ def cotangent_stiffness(vertices: np.ndarray, faces: np.ndarray) -> sparse.csc_m
 
 
 def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V,) a third of the area of the triangles around each vertex, m²; a small positive floor where there is none."""
+    """(V,) a third of the area of the triangles around each vertex, m², at least a millionth of the mean."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
     areas = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
@@ -44,14 +50,16 @@ def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 class SmoothOffsets:
-    """Offsets d of a mesh's vertices, stepped through a latent u that smoothing by a length h turns into them:
+    """Offsets d of a mesh's vertices, optimised through a latent u that is smoothed by a length h:
 
         d = (M + h² C)⁻¹ M u,
 
-    M the vertices' areas, C the cotangent stiffness: the preconditioning of Nicolet et al. (2021, "Large Steps in
-    Inverse Rendering of Geometry"), with finite elements' Laplacian in the place of the combinatorial one, since the
-    latter smooths over so many edges and a body's edges are from under a millimetre to centimetres long. Steps are
-    their AdamUniform: Adam with one second moment for all, the largest, so that a step is as smooth as its gradient is.
+    with the vertices' areas M and the cotangent stiffness C. This is the preconditioning of Nicolet et al.
+    (2021, "Large Steps in Inverse Rendering of Geometry") with the Laplacian of finite elements in place of
+    the combinatorial one. The latter smooths over a number of edges, and a body's edges are between less than
+    a millimetre and centimetres long. Steps
+    are those of their AdamUniform: Adam with one second moment for all, the largest, which keeps a step as
+    smooth as its gradient.
 
     Args:
         vertices: (V, 3) the mesh at rest, metres; lengths and areas are measured on it.
@@ -71,38 +79,36 @@ class SmoothOffsets:
         self.set_length(0.1)
 
     def set_length(self, length: float) -> None:
-        """Changes h, metres, from the next step on. The offsets stay; the moments, which are of the old u, do not."""
+        """Sets h, metres, from the next step on. The offsets stay; the moments, which belong to the old u,
+        start again.
+        """
         if length != self._length:
             self._length = length
             self._matrix = sparse.csc_matrix(sparse.diags(self._areas) + length**2 * self._stiffness)
             self._factors = splu(self._matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
             self.replace(self.offsets)
-            self._restart()
+            self._first = np.zeros_like(self.offsets)
+            self._second = np.zeros_like(self.offsets)
+            self._steps = 0
 
     def replace(self, offsets: np.ndarray) -> None:
         """Sets the offsets, (V, 3) metres; u follows, the moments stay."""
         self.offsets = np.array(offsets, dtype=np.float64)
         self._latent = self._matrix @ self.offsets / self._areas[:, None]
 
-    def _restart(self) -> None:
-        """Moments of nothing."""
-        self._first = np.zeros_like(self.offsets)
-        self._second = np.zeros_like(self.offsets)
-        self._steps = 0
-
     def strain(self) -> tuple[float, np.ndarray]:
-        """∫ |∇d|² over the mesh by its area, and its gradient with respect to the offsets, (V, 3) 1/m."""
+        """∫ |∇d|² over the mesh divided by its area, and its gradient in the offsets, (V, 3) 1/m."""
         gradient = self._stiffness @ self.offsets / self._areas.sum()
         return float((self.offsets * gradient).sum()), 2 * gradient
 
     def step(self, gradient: np.ndarray, rate: float) -> None:
-        """One step of AdamUniform; no component of u moves further than about `rate`, metres.
+        """Takes one step of AdamUniform: no component of u moves by more than about `rate`.
 
         Args:
-            gradient: (V, 3) of the loss with respect to the offsets.
+            gradient: (V, 3) of the loss in the offsets.
             rate: metres.
         """
-        # The gradient of u as a function on the surface, M⁻¹ (∂d/∂u)ᵀ g, does not know how finely it is triangulated.
+        # The gradient of u as a function on the surface, M⁻¹ (∂d/∂u)ᵀ g, is independent of the triangulation.
         latent = self._factors.solve(np.ascontiguousarray(gradient, dtype=np.float64))
         first, second = self.BETAS
         self._steps += 1

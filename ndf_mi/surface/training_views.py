@@ -10,32 +10,34 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
+from ndf_mi.surface.textured import Rectangle
 
 CAMERAS_A_STEP = 4
-Rectangle = tuple[int, int, int, int]
 
 
 class TrainingViews:
-    """The `train` split, a frame at a time.
+    """The `train` split, frame by frame.
 
-    All images are decoded when this is made and kept as 8-bit values, as those that the field trains on are, so that time spent
-    training holds no reading of files on either side. Pixels resampled because their camera has distortion are rounded.
+    All images are decoded when this is made and kept as 8-bit values, like those that the field trains on. No
+    time of training is spent on reading files. Pixels that were resampled because their camera has distortion
+    are rounded.
 
-    All images of one camera are cut to rectangles of one size, so that kernels are compiled once; where cameras agree
-    in size, so do the rectangles.
+    All images of one camera are cut to rectangles of one size, so that kernels are compiled once. Cameras of
+    one size have rectangles of one size.
 
     Args:
         capture: the capture.
         seed: of the order.
         frames: a subset of the training frames; all by default.
-        margin: metres around the body that the rectangles hold, too.
-        masks: whether `coverage` will be asked for.
+        margin: metres around the body that the rectangles show.
+        masks: whether `coverage` will be called.
 
     Attributes:
-        area: pixels of the rectangles that there are without a margin, the mean over the cameras.
+        frames: the number of frames in a pass.
+        area: pixels of a rectangle without the margin, the mean over the cameras.
 
     Raises:
-        InputError: the capture has no training split, or the body is out of every training camera's sight.
+        InputError: the capture has no training images, or a training camera does not see the body.
     """
 
     def __init__(self, capture: Capture, seed: int, frames: Sequence[int] | None = None, margin: float = 0.0,
@@ -43,10 +45,12 @@ class TrainingViews:
         split = capture.splits["train"]
         chosen = split.frames if frames is None else tuple(frames)
         if not chosen or not split.cameras:
-            raise InputError(f"{capture.path}: splits.train", "no cameras or no frames", "at least one of each")
+            raise InputError(f"{capture.path}: splits.train", "no cameras or no frames",
+                             "at least one of each")
         self._capture = capture
         self._cameras = [capture.cameras[name] for name in split.cameras]
         self._frames = chosen
+        self.frames = len(chosen)
         self._random = np.random.default_rng(seed)
         self._order: list[int] = []
         bare = {frame: _bounds(capture, self._cameras, frame, 0.0) for frame in chosen}
@@ -56,23 +60,21 @@ class TrainingViews:
         self._extent = self._largest(self._corners)
         pairs = [(index, frame) for frame in chosen for index in range(len(self._cameras))]
         self._images = {pair: self._image(*pair) for pair in pairs}
-        self._coverages = {(self._cameras[i].name, frame): self._coverage(i, frame) for i, frame in pairs if masks}
-
-    @property
-    def frames(self) -> int:
-        """How many frames a pass has."""
-        return len(self._frames)
+        self._coverages = {(self._cameras[index].name, frame): self._coverage(index, frame)
+                           for index, frame in pairs if masks}
 
     def mean_colour(self) -> np.ndarray:
         """(3,) the mean sRGB of the performer in the first frame's images."""
         frame = self._frames[0]
-        pixels = [
-            self._capture.image(camera.name, frame)[self._capture.mask(camera.name, frame)] for camera in self._cameras
-        ]
+        pixels = [self._capture.image(camera.name, frame)[self._capture.mask(camera.name, frame)]
+                  for camera in self._cameras]
         return np.concatenate(pixels).mean(axis=0)
 
     def next(self) -> tuple[int, list[tuple[Camera, Rectangle, np.ndarray]]]:
-        """The next frame and, for up to four random cameras, camera, rectangle (x, y, w, h) and image in it, (h, w, 3) float32 sRGB."""
+        """The next frame, and a view for each of up to four random cameras.
+
+        A view is a camera, a rectangle of its image, and (h, w, 3) float32 sRGB in that rectangle.
+        """
         if not self._order:
             self._order = self._random.permutation(len(self._frames)).tolist()
         frame = self._frames[self._order.pop()]
@@ -81,17 +83,23 @@ class TrainingViews:
         return frame, [self._view(int(index), frame) for index in chosen]
 
     def coverage(self, camera: Camera, frame: int) -> np.ndarray:
-        """(h, w, 2) float32 of the view's rectangle: 1 on the performer's mask; 1 where that is certain, off the mask's edge.
+        """(h, w, 2) float32 in the view's rectangle: 1 on the performer's mask; 1 where the mask is valid.
 
-        Pixels of the edge, within 3 × 3 of both sides, are covered in part, or the mask may be wrong about them.
+        Masks are not valid along their edges, within 3 × 3 pixels of both sides: such pixels are covered in
+        part.
         """
         return self._coverages[camera.name, frame].astype(np.float32)
 
     def _largest(self, corners: dict[int, np.ndarray]) -> np.ndarray:
-        """(2,) width and height of the largest of rectangles (cameras, low and high, 2), and a pixel on each side."""
+        """(2,) width and height of the largest rectangle, with a pixel more on each side.
+
+        Args:
+            corners: (cameras, low and high, 2) pixel coordinates for each frame.
+        """
         extent = np.max([box[:, 1] - box[:, 0] for box in corners.values()], axis=(0, 1))
         if not np.isfinite(extent).all():
-            raise InputError(self._capture.path, "a body behind a training camera", "training cameras that see the body")
+            raise InputError(self._capture.path, "a body behind a training camera",
+                             "training cameras that see the body")
         return np.ceil(extent).astype(int) + 2
 
     def _view(self, index: int, frame: int) -> tuple[Camera, Rectangle, np.ndarray]:
@@ -114,8 +122,8 @@ class TrainingViews:
         """(h, w, 2) bool, see `coverage`."""
         mask = self._capture.mask(self._cameras[index].name, frame)
         around = np.ones((3, 3), dtype=bool)
-        certain = binary_erosion(mask, around, border_value=1) | ~binary_dilation(mask, around)
-        return _cut(np.stack([mask, certain], axis=-1), self._rectangle(index, frame)).copy()
+        valid = binary_erosion(mask, around, border_value=1) | ~binary_dilation(mask, around)
+        return _cut(np.stack([mask, valid], axis=-1), self._rectangle(index, frame)).copy()
 
 
 def _cut(image: np.ndarray, rectangle: Rectangle) -> np.ndarray:
@@ -124,9 +132,10 @@ def _cut(image: np.ndarray, rectangle: Rectangle) -> np.ndarray:
 
 
 def _bounds(capture: Capture, cameras: Sequence[Camera], frame: int, margin: float) -> np.ndarray:
-    """(cameras, 2, 2): the lowest and highest pixel coordinates of the posed body in each camera, NaN if behind it.
+    """(cameras, 2, 2) the lowest and highest pixel coordinates of the posed body in each camera; NaN if it is
+    behind.
 
-    `margin` metres at the body's nearest point are added on each side.
+    Each side has `margin` metres more, at the distance of the body's nearest point.
     """
     vertices = capture.poses.vertices[capture.poses.index(frame)]
     bounds = []

@@ -11,6 +11,7 @@ from ndf_mi.methods.base import Light
 from ndf_mi.methods.lit_mesh import LitMesh
 from ndf_mi.methods.lit_surface import LitSurface, ReflectanceFit
 from ndf_mi.render.lights import lights
+from ndf_mi.surface.schedule import Schedule, train_steps
 
 
 @pytest.fixture
@@ -31,10 +32,10 @@ def test_it_recovers_a_reflectance_and_shows_it_in_another_light(captures):
         shown[name] = {(camera, frame): mesh.render(capture.cameras[camera], frame) for camera in capture.cameras for frame in (0, 1)}
     capture.image = lambda camera, frame: shown["day"][camera, frame]
     fit = ReflectanceFit(LitSurface(capture, 16, known["day"].emitters), capture, 16, 0.05, 0)
-    fit.for_steps(60)
-    seen = fit.seen()
-    assert np.abs(fit.texture()[seen].mean(0) - grey[0, 0]).max() < 0.03
-    found = np.where(seen[..., None], fit.texture(), grey)
+    train_steps(fit, Schedule(), 60)
+    seen = fit.texels.seen()
+    assert np.abs(fit.texels.values()[seen].mean(0) - grey[0, 0]).max() < 0.03
+    found = np.where(seen[..., None], fit.texels.values(), grey)
     image = LitMesh(capture, found, known["night"], 64, {"capture": ""}).render(capture.cameras["n0"], 1)
     mask = metrics.box_mask(capture.cameras["n0"], capture.poses.vertices[1])
     assert metrics.psnr(shown["night"]["n0", 1], image, mask) > 28

@@ -13,7 +13,7 @@ import trimesh
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.capture.camera import Camera
-from ndf_mi.surface.contour import Contours, contour_gradient
+from ndf_mi.surface.contours import Contours, contour_gradient
 from ndf_mi.surface.textured import TexturedSurface
 
 SIZE, FOCAL, DISTANCE, RADIUS = 48, 72.0, 2.2, 0.5

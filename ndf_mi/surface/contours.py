@@ -1,12 +1,14 @@
-"""Visibility gradients of a posed mesh: how the image changes because contours move (Li et al. 2018, edge sampling).
+"""Gradients of an image in the vertices of a mesh through the motion of its contours (Li et al. 2018, edge
+sampling).
 
-Differentiating the samples of an image misses that they change sides of a contour. For a box-filtered pixel p whose
-radiance f jumps along contours in the image, with n normal to the contour and x on it,
+Differentiating the samples of an image misses that they change sides of a contour. For a box-filtered pixel p
+whose radiance f jumps along contours in the image, with n normal to the contour and x on it,
 
     dI_p/dv = ∫_p ∂f/∂v dA + ∫_{contours in p} (f(x - n·0) - f(x + n·0)) (n · ∂x/∂v) dl.
 
-The second integral is estimated here by points on the contours of primary visibility, of the background and of parts of
-the body before others alike. Contours where two parts intersect are not sampled.
+The second integral is estimated here by points on the contours of primary visibility, where the body ends in
+front of the background and where one part of it ends in front of another. Lines along which two parts
+intersect are not sampled.
 """
 
 from __future__ import annotations
@@ -18,14 +20,13 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.capture.camera import Camera
-from ndf_mi.surface.textured import TexturedSurface
+from ndf_mi.surface.textured import Rectangle, TexturedSurface
 
-Rectangle = tuple[int, int, int, int]
+SIDE = 0.02
+"""Distance from a contour, in pixels, at which the radiance of its two sides is evaluated."""
 
-#: How far beside a contour the radiance of its two sides is looked up, pixels.
-ASIDE = 0.02
-#: A contour point is hidden if something is nearer than this share of its distance.
 NEARER = 1 - 1e-3
+"""A contour point is hidden if the mesh is met within this share of its distance."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +35,11 @@ class ContourSamples:
 
     Attributes:
         start, end: (N,) indices of the vertices of each point's edge.
-        position: (N,) where between their projections it lies, 0 to 1.
+        position: (N,) position between their projections, in [0, 1].
         point: (N, 2) pixel coordinates.
         normal: (N, 2) unit vectors, normal to the contour in the image.
         distance: (N,) metres from the camera.
-        length: pixels of contour that each point stands for.
+        length: pixels of contour that each point represents.
     """
 
     start: np.ndarray
@@ -53,11 +54,11 @@ class ContourSamples:
 class Contours:
     """Finds and samples the contours of a mesh of fixed topology.
 
-    Contours are the edges between a triangle that faces the camera and one that does not, if they are convex (others
-    are hidden by their own triangles), and all edges that do not have two triangles.
+    A contour edge lies between a triangle that faces the camera and one that does not, and is convex (its own
+    triangles hide it otherwise). All edges that do not have two triangles are contours, too.
 
     Args:
-        faces: (F, 3), without doubled vertices at texture seams, which would be taken for boundaries.
+        faces: (F, 3). Vertices must not be doubled at texture seams, since these would become boundaries.
     """
 
     def __init__(self, faces: np.ndarray) -> None:
@@ -65,7 +66,8 @@ class Contours:
         edges = np.concatenate([corners[:, [i, (i + 1) % 3]] for i in range(3)])
         opposite = np.concatenate([corners[:, (i + 2) % 3] for i in range(3)])
         face = np.tile(np.arange(len(corners)), 3)
-        unique, inverse, counts = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
+        unique, inverse, counts = np.unique(
+            np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
         order = np.argsort(inverse.ravel(), kind="stable")
         first = np.cumsum(counts) - counts
         pairs = counts == 2
@@ -76,7 +78,7 @@ class Contours:
         self._boundary = unique[~pairs]
 
     def edges(self, vertices: np.ndarray, camera: Camera) -> np.ndarray:
-        """(E, 2) the contour edges of the mesh with these (V, 3) vertices, metres."""
+        """(E, 2) vertex indices of the contour edges of the mesh with these (V, 3) vertices, metres."""
         a, b, c = (vertices[self._faces[:, corner]] for corner in range(3))
         normals = np.cross(b - a, c - a)
         facing = (normals * (camera.position - a)).sum(1) > 0
@@ -86,10 +88,19 @@ class Contours:
         convex = (normals[one[chosen]] * reach).sum(1) < 0
         return np.concatenate([self._inner[chosen[convex]], self._boundary])
 
-    def sample(
-        self, vertices: np.ndarray, camera: Camera, count: int, random: np.random.Generator
-    ) -> ContourSamples | None:
-        """`count` stratified points, uniform in length in the image; None if no contour is in front of the camera."""
+    def sample(self, vertices: np.ndarray, camera: Camera, count: int,
+               random: np.random.Generator) -> ContourSamples | None:
+        """Stratified points, uniform in length in the image.
+
+        Args:
+            vertices: (V, 3) world space, metres.
+            camera: a pinhole camera.
+            count: the number of points.
+            random: draws their positions.
+
+        Returns:
+            the points; None if no contour is in front of the camera.
+        """
         vertices = vertices.astype(np.float64)
         edges = self.edges(vertices, camera)
         depth = -camera.to_camera(vertices)[:, 2]
@@ -105,7 +116,7 @@ class Contours:
         length = np.maximum(lengths[index], 1e-12)
         position = np.clip((at - above[index]) / length + 1, 0, 1)
         start, end = edges[index].T
-        # Depth's inverse is linear in the image.
+        # The inverse of the depth is linear in the image.
         share = position * depth[start] / (position * depth[start] + (1 - position) * depth[end])
         world = vertices[start] + share[:, None] * (vertices[end] - vertices[start])
         return ContourSamples(
@@ -119,60 +130,58 @@ class Contours:
         )
 
 
-def contour_gradient(
-    surface: TexturedSurface,
-    vertices: np.ndarray,
-    camera: Camera,
-    samples: ContourSamples,
-    adjoint: mi.TensorXf,
-    rectangle: Rectangle,
-) -> np.ndarray:
-    """(V, 3): the part of the gradient of a loss with respect to world positions that comes from contours moving.
+def contour_gradient(surface: TexturedSurface, vertices: np.ndarray, camera: Camera, samples: ContourSamples,
+                     adjoint: mi.TensorXf, rectangle: Rectangle) -> np.ndarray:
+    """(V, 3) the part of a loss's gradient in world positions that comes from the motion of contours.
 
     Args:
-        surface: what is seen; its vertices must be these.
+        surface: what the camera sees; its vertices must be these.
         vertices: (V, 3) world space, metres.
         camera: a pinhole camera.
         samples: points on this camera's contours.
-        adjoint: (h, w, 4), the gradient of the loss with respect to `TexturedSurface.layers` in the rectangle.
-        rectangle: x, y, width, height.
+        adjoint: (h, w, 4), the gradient of the loss in `TexturedSurface.layers` of the rectangle.
+        rectangle: the part of the image that the loss depends on.
     """
     motion = samples.length * _jump(surface, camera, samples, adjoint, rectangle)
     gradient = np.zeros_like(vertices, dtype=np.float64)
     for index, share in ((samples.start, 1 - samples.position), (samples.end, samples.position)):
-        along = (motion * share)[:, None] * _lifted(camera, vertices[index], samples.normal)
+        along = (motion * share)[:, None] * _projection_vjp(camera, vertices[index], samples.normal)
         for axis in range(3):
             gradient[:, axis] += np.bincount(index, along[:, axis], minlength=len(vertices))
     return gradient
 
 
-def _jump(
-    surface: TexturedSurface, camera: Camera, samples: ContourSamples, adjoint: mi.TensorXf, rectangle: Rectangle
-) -> np.ndarray:
-    """(N,) what the loss gains, a pixel of contour and a pixel of motion along its normal; 0 at hidden points."""
+def _jump(surface: TexturedSurface, camera: Camera, samples: ContourSamples, adjoint: mi.TensorXf,
+          rectangle: Rectangle) -> np.ndarray:
+    """(N,) change of the loss for each pixel of contour and pixel of motion along its normal; 0 at hidden
+    points.
+    """
     with dr.suspend_grad():
         point, normal = (
             mi.Point2f(*(mi.Float(np.ascontiguousarray(xy[:, i], dtype=np.float32)) for i in range(2)))
             for xy in (samples.point, samples.normal)
         )
         x, y, width, height = rectangle
-        column, row = (mi.Int32(dr.floor(point[i] - dr.opaque(mi.Float, low))) for i, low in enumerate((x, y)))
+        column, row = (mi.Int32(dr.floor(point[i] - dr.opaque(mi.Float, low)))
+                       for i, low in enumerate((x, y)))
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         ray = camera.rays(point)
         ray.maxt = mi.Float(samples.distance.astype(np.float32)) * NEARER
-        seen = inside & ~surface.occluded(ray, inside)
-        behind, ahead = (surface.radiance(camera.rays(point + side * ASIDE * normal), seen) for side in (-1.0, 1.0))
+        visible = inside & ~surface.hits(ray, inside)
+        behind, ahead = (surface.radiance(camera.rays(point + side * SIDE * normal), visible)
+                         for side in (-1.0, 1.0))
         first = mi.UInt32(dr.select(inside, row * width + column, 0)) * 4
         jump = mi.Float(0)
         for channel in range(4):
-            weight = dr.gather(mi.Float, adjoint.array, first + channel, seen)
+            weight = dr.gather(mi.Float, adjoint.array, first + channel, visible)
             jump += weight * (behind[channel] - ahead[channel])
-        return dr.select(seen, jump, 0).numpy().astype(np.float64)
+        return dr.select(visible, jump, 0).numpy().astype(np.float64)
 
 
-def _lifted(camera: Camera, points: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(N, 3): the gradient of n · (projection of X) with respect to X, for pixel vectors n (N, 2)."""
+def _projection_vjp(camera: Camera, points: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """(N, 3) the gradients of v · project(X) in world points X (N, 3), for pixel vectors v (N, 2)."""
     x, y, z = camera.to_camera(points).T
     scale = camera.fl_x / z
-    local = np.stack([-normal[:, 0], normal[:, 1], (normal[:, 0] * x - normal[:, 1] * y) / z], axis=1)
+    along = (vectors[:, 0] * x - vectors[:, 1] * y) / z
+    local = np.stack([-vectors[:, 0], vectors[:, 1], along], axis=1)
     return (scale[:, None] * local) @ np.asarray(camera.transform, dtype=np.float64)[:3, :3].T
