@@ -19,15 +19,7 @@ from ndf_mi.methods.base import Budget, Light, Progress
 from ndf_mi.methods.lit import noise_psnr
 from ndf_mi.methods.lit_surface import LitSurface, ReflectanceFit
 from ndf_mi.methods.mesh import RENDER_SPP
-from ndf_mi.methods.mesh_record import (
-    MeshRecord,
-    metadata_of,
-    read_record,
-    read_tensors,
-    record_of,
-    texture_shapes,
-    write_mesh,
-)
+from ndf_mi.methods.mesh_record import MeshRecord, read_mesh, record_of, tensors_of, write_mesh
 from ndf_mi.render.lights import lights as lights_of
 from ndf_mi.surface.texture_fit import fit_texture
 
@@ -52,32 +44,28 @@ class RelightableMesh:
         surface = LitSurface(capture, self._size, lights_of(capture.known_lighting()))
         fitted = fit_texture(surface, capture, self._size, self._rate, budget.seconds, budget.seed, progress,
                              make=ReflectanceFit)
-        self._texture, self._seen = fitted.texture, fitted.seen
-        self._record = record_of(MeshRecord, fitted, budget, capture)
+        self._record, self._tensors = record_of(MeshRecord, fitted, budget, capture), tensors_of(fitted)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Writes `mesh.json`, `mesh.safetensors`, and `texture.png` to look at."""
-        write_mesh(folder, self._record, {"texture": self._texture, "seen": self._seen.astype(np.uint8)})
+        write_mesh(folder, self._record, self._tensors)
 
     def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
         """Reads what `save` wrote.
 
         Raises:
-            InputError: a file is missing, damaged, or of another version or capture.
+            InputError: as `read_mesh`.
         """
         self._capture = capture
-        self._record = read_record(folder, MeshRecord, capture)
-        size = self._record.size
-        tensors = read_tensors(folder, texture_shapes(size))
-        self._texture, self._seen = tensors["texture"], tensors["seen"].astype(bool)
+        self._record, self._tensors = read_mesh(folder, MeshRecord, capture)
 
     def metadata(self) -> dict[str, Any]:
-        """The members of `MeshRecord`, and the keys that `methods.base` lists."""
-        return metadata_of(self._record)
+        """The members of `MeshRecord`, and keys that `methods.base` lists."""
+        return self._record.metadata("rate")
 
     def under(self, light: Light, frames: Sequence[int], spp: int) -> LitMesh:
         """The mesh in some light; arguments as in `Relightable.under`."""
-        return LitMesh(self._capture, self._texture, light, spp, self.metadata())
+        return LitMesh(self._capture, self._tensors["texture"], light, spp, self.metadata())
 
 
 class LitMesh:

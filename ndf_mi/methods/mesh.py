@@ -11,15 +11,7 @@ import numpy as np
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.methods.base import Budget, Progress
-from ndf_mi.methods.mesh_record import (
-    MeshRecord,
-    metadata_of,
-    read_record,
-    read_tensors,
-    record_of,
-    texture_shapes,
-    write_mesh,
-)
+from ndf_mi.methods.mesh_record import MeshRecord, read_mesh, record_of, tensors_of, write_mesh
 from ndf_mi.surface.texture_fit import fit_texture
 from ndf_mi.surface.textured import TexturedSurface
 
@@ -27,8 +19,7 @@ RENDER_SPP = 64
 
 
 class TexturedMesh:
-    """The body emits the texture. It shows nothing off the body's surface, and nothing that changes with pose
-    or view.
+    """The body emits the texture. It shows nothing off the body's surface, nor changes with pose or view.
 
     Args:
         texture: texels a side of the square texture.
@@ -46,36 +37,32 @@ class TexturedMesh:
         self._surface = TexturedSurface(capture, self._size)
         fitted = fit_texture(self._surface, capture, self._size, self._rate, budget.seconds, budget.seed,
                              progress)
-        self._texture, self._seen = fitted.texture, fitted.seen
-        self._record = record_of(MeshRecord, fitted, budget, capture)
+        self._record, self._tensors = record_of(MeshRecord, fitted, budget, capture), tensors_of(fitted)
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the capture's background, `RENDER_SPP` samples a pixel."""
         self._surface.set_frame(frame)
-        return self._surface.picture(camera, self._texture, RENDER_SPP)
+        return self._surface.picture(camera, self._tensors["texture"], RENDER_SPP)
 
     def metadata(self) -> dict[str, Any]:
-        """The members of `MeshRecord`, and the keys that `methods.base` lists."""
-        return {**metadata_of(self._record), "note": f"Learning rate {self._record.rate:g}."}
+        """The members of `MeshRecord`, and keys that `methods.base` lists."""
+        return {**self._record.metadata("rate"), "note": f"Learning rate {self._record.rate:g}."}
 
     def cache_key(self) -> str:
         """SHA-256 (hex) over texture, capture and samples a pixel."""
         state = hashlib.sha256(f"{RENDER_SPP} {self._record.capture}".encode())
-        state.update(self._texture.tobytes())
+        state.update(self._tensors["texture"].tobytes())
         return state.hexdigest()
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Writes `mesh.json`, `mesh.safetensors`, and `texture.png` to look at."""
-        write_mesh(folder, self._record, {"texture": self._texture, "seen": self._seen.astype(np.uint8)})
+        write_mesh(folder, self._record, self._tensors)
 
     def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
         """Reads what `save` wrote.
 
         Raises:
-            InputError: a file is missing, damaged, or of another version or capture.
+            InputError: as `read_mesh`.
         """
-        self._record = read_record(folder, MeshRecord, capture)
-        size = self._record.size
-        tensors = read_tensors(folder, texture_shapes(size))
-        self._texture, self._seen = tensors["texture"], tensors["seen"].astype(bool)
-        self._surface = TexturedSurface(capture, size)
+        self._record, self._tensors = read_mesh(folder, MeshRecord, capture)
+        self._surface = TexturedSurface(capture, self._record.size)

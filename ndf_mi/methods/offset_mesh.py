@@ -12,15 +12,7 @@ import numpy as np
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.methods.base import Budget, Progress
-from ndf_mi.methods.mesh_record import (
-    MeshRecord,
-    metadata_of,
-    read_record,
-    read_tensors,
-    record_of,
-    texture_shapes,
-    write_mesh,
-)
+from ndf_mi.methods.mesh_record import MeshRecord, read_mesh, record_of, tensors_of, write_mesh
 from ndf_mi.surface.offset_fit import fit_offsets
 from ndf_mi.surface.rest_frames import RestFrames
 from ndf_mi.surface.textured import TexturedSurface
@@ -46,8 +38,8 @@ class OffsetRecord(MeshRecord, forbid_unknown_fields=True, kw_only=True):
 class OffsetMesh:
     """The posed body, moved by one set of vertex offsets for all frames, emits a texture.
 
-    The offsets belong to the body at rest and move with its skin: the clothed shape is learned, changes of
-    its wrinkles with the pose are not. Topology and texture coordinates stay.
+    The offsets belong to the body at rest and move with its skin: the clothed shape is learned, changes of its
+    wrinkles with the pose are not. Topology and texture coordinates stay.
 
     Args:
         texture: texels a side of the square texture.
@@ -66,16 +58,15 @@ class OffsetMesh:
     @property
     def offsets(self) -> np.ndarray:
         """(V, 3) float32 metres at rest."""
-        return self._offsets
+        return self._tensors["offsets"]
 
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
         """Fits texture and offsets together."""
         self._place(capture, self._size)
         fitted = fit_offsets(self._surface, self._rest, capture, self._size, self._rate, self._offset_rate,
                              budget.seconds, budget.seed, progress)
-        self._offsets = fitted.offsets
-        self._texture, self._seen = fitted.texture.texture, fitted.texture.seen
-        lengths = 1000 * np.linalg.norm(self._offsets, axis=1)
+        lengths = 1000 * np.linalg.norm(fitted.offsets, axis=1)
+        self._tensors = {**tensors_of(fitted.texture), "offsets": fitted.offsets}
         self._record = record_of(
             OffsetRecord, fitted.texture, budget, capture, sweep_seconds=fitted.search.seconds,
             offset_rate=fitted.search.rate, offset_sweep=fitted.search.losses,
@@ -83,41 +74,34 @@ class OffsetMesh:
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the capture's background, `RENDER_SPP` samples a pixel."""
-        self._surface.set_vertices(mi.Float(self._rest.posed(frame, self._offsets).ravel()))
-        return self._surface.picture(camera, self._texture, RENDER_SPP)
+        self._surface.set_vertices(mi.Float(self._rest.posed(frame, self.offsets).ravel()))
+        return self._surface.picture(camera, self._tensors["texture"], RENDER_SPP)
 
     def metadata(self) -> dict[str, Any]:
-        """The members of `OffsetRecord`, and the keys that `methods.base` lists."""
+        """The members of `OffsetRecord`, and keys that `methods.base` lists."""
         r = self._record
-        note = (f"Learning rate {r.rate:g}, first step of the offsets {r.offset_rate:g} m. "
-                f"The offsets are {r.offset_median_mm:.0f} mm in the median and at most "
-                f"{r.offset_max_mm:.0f} mm.")
-        return {**metadata_of(r, ("rate", "offset_rate")), "note": note}
+        note = (f"Learning rate {r.rate:g}, first step of the offsets {r.offset_rate:g} m. The offsets are "
+                f"{r.offset_median_mm:.0f} mm in the median and at most {r.offset_max_mm:.0f} mm.")
+        return {**r.metadata("rate", "offset_rate"), "note": note}
 
     def cache_key(self) -> str:
         """SHA-256 (hex) over texture, offsets, capture and samples a pixel."""
         state = hashlib.sha256(f"{RENDER_SPP} {self._record.capture}".encode())
-        state.update(self._texture.tobytes() + self._offsets.tobytes())
+        state.update(self._tensors["texture"].tobytes() + self.offsets.tobytes())
         return state.hexdigest()
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Writes `mesh.json`, `mesh.safetensors` with the offsets, and `texture.png` to look at."""
-        tensors = {"texture": self._texture, "seen": self._seen.astype(np.uint8), "offsets": self._offsets}
-        write_mesh(folder, self._record, tensors)
+        write_mesh(folder, self._record, self._tensors)
 
     def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
         """Reads what `save` wrote.
 
         Raises:
-            InputError: a file is missing, damaged, or of another version or capture.
+            InputError: as `read_mesh`.
         """
-        self._record = read_record(folder, OffsetRecord, capture)
-        size = self._record.size
-        self._place(capture, size)
-        shapes = texture_shapes(size) | {"offsets": (np.float32, self._rest.vertices.shape)}
-        tensors = read_tensors(folder, shapes)
-        self._texture, self._seen = tensors["texture"], tensors["seen"].astype(bool)
-        self._offsets = tensors["offsets"]
+        self._record, self._tensors = read_mesh(folder, OffsetRecord, capture)
+        self._place(capture, self._record.size)
 
     def _place(self, capture: Capture, size: int) -> None:
         self._surface, self._rest = TexturedSurface(capture, size), RestFrames(capture)
