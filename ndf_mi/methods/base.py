@@ -163,6 +163,6 @@ class LimitedViews(Protocol):
 
 
 def expect_views(method: Renderer, views: Sequence[tuple[str, int]]) -> None:
-    """Raises InputError unless the method can render every (camera, frame); for before anything is measured."""
+    """Raises InputError unless the method can render every (camera, frame). Call it before measuring."""
     if isinstance(method, LimitedViews):
         method.check_views(views)

@@ -90,5 +90,5 @@ def _encode(linear: np.ndarray) -> np.ndarray:
 
 
 def noise_psnr(noise: float | None) -> dict[str, float]:
-    """The metadata `noise_psnr` of a picture from the mean squared error that noise makes; empty before any."""
+    """The metadata `noise_psnr` from the mean squared error that noise makes in a picture; empty for None."""
     return {} if noise is None else {"noise_psnr": -10 * math.log10(max(noise, 1e-12))}

@@ -62,10 +62,10 @@ class RelightableField:
                              "Train one by: ndf-mi optimise CAPTURE -o RUN --integrator prbvolpath")
         if not run.scattered:
             raise InputError(f"{config}: trained.steps", str(run.config["trained"]["steps"]),
-                             f"more than the {training['warm_up']} steps by quadrature (warm_up), whose colours "
-                             "hold the light that they were seen in",
-                             "Continue by: ndf-mi optimise CAPTURE -o RUN --resume. If it has finished, train "
-                             "another one with more steps or seconds, or a smaller warm_up.")
+                             f"more than the {training['warm_up']} steps by quadrature (warm_up), whose "
+                             "colours hold the light that they were seen in",
+                             "Continue by: ndf-mi optimise CAPTURE -o RUN --resume. If it has finished, "
+                             "train another one with more steps or seconds, or a smaller warm_up.")
         expect_capture(run, capture)
         self._run = run
 
@@ -134,7 +134,8 @@ class LitField:
 
     def cache_key(self) -> str:
         """SHA-256 (hex) over the field's parameters, the light and how they are rendered."""
-        settings = (self._light.name, self._spp, self._depth, LAYERS, self._spacing, self._run.config["preset"])
+        preset = self._run.config["preset"]
+        settings = (self._light.name, self._spp, self._depth, LAYERS, self._spacing, preset)
         state = hashlib.sha256(" ".join(map(str, settings)).encode())
         for name, values in sorted(self._run.field_tensors().items()):
             state.update(name.encode() + values.tobytes())

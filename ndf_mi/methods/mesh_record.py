@@ -31,7 +31,7 @@ class MeshRecord(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
         version: of the format.
         size: texels a side.
         rate: Adam's first learning rate of the texture, in sRGB units a step.
-        sweep: training loss that each rate tried had reached, keyed by the rate as text; empty if it was given.
+        sweep: training loss that each rate tried had reached, keyed by the rate as text; empty if given.
         sweep_seconds: wall-clock seconds of all searches; not part of `seconds`.
         budget: seconds that were given; None for training to convergence.
         seconds, steps: wall-clock seconds and steps of training.
@@ -68,12 +68,14 @@ R = TypeVar("R", bound=MeshRecord)
 
 def record_of(kind: type[R], fitted: FittedTexture, budget: Budget, capture: Capture,
               sweep_seconds: float = 0.0, **more: Any) -> R:
-    """The record of a fit; `more` are the members that `kind` adds, `sweep_seconds` those of their searches."""
+    """The record of a fit; `more` are the members that `kind` adds, `sweep_seconds` their searches' time."""
     rate, training = fitted.search, fitted.training
     return kind(
-        size=len(fitted.texture), rate=rate.rate, sweep=rate.losses, sweep_seconds=rate.seconds + sweep_seconds,
-        budget=budget.seconds, seconds=training.seconds, steps=training.steps, converged=training.converged,
-        seen=float(fitted.seen.mean()), seed=budget.seed, capture=capture.digest, history=training.history, **more)
+        size=len(fitted.texture), rate=rate.rate, sweep=rate.losses,
+        sweep_seconds=rate.seconds + sweep_seconds, budget=budget.seconds,
+        seconds=training.seconds, steps=training.steps, converged=training.converged,
+        seen=float(fitted.seen.mean()), seed=budget.seed, capture=capture.digest,
+        history=training.history, **more)
 
 
 def tensors_of(fitted: FittedTexture) -> Tensors:
@@ -95,8 +97,8 @@ def read_mesh(folder: str | os.PathLike[str], kind: type[R], capture: Capture) -
     """Reads a mesh. A record with offsets comes with the tensor `offsets`, (V, 3) float32.
 
     Raises:
-        InputError: a file is missing, an entry or a tensor has the wrong kind, shape or range, or the mesh is of
-            another version or was trained on another capture.
+        InputError: a file is missing, an entry or a tensor has the wrong kind, shape or range, or the mesh is
+            of another version or was trained on another capture.
     """
     file, expected = Path(folder) / "mesh.json", "as `ndf-mi compare` writes it"
     try:

@@ -38,8 +38,8 @@ class OffsetRecord(MeshRecord, forbid_unknown_fields=True, kw_only=True):
 class OffsetMesh:
     """The posed body, moved by one set of vertex offsets for all frames, emits a texture.
 
-    The offsets belong to the body at rest and move with its skin: the clothed shape is learned, changes of its
-    wrinkles with the pose are not. Topology and texture coordinates stay.
+    The offsets belong to the body at rest and move with its skin: the clothed shape is learned, changes of
+    its wrinkles with the pose are not. Topology and texture coordinates stay.
 
     Args:
         texture: texels a side of the square texture.

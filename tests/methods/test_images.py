@@ -1,4 +1,6 @@
-"""Pictures of another program: what is accepted, how it is read, and what is refused before anything is measured."""
+"""Pictures of another program: what is accepted, how it is read, and what is refused before anything is
+measured.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def folder(tmp_path):
 
 def pixels(capture, channels: int, dtype=np.uint8) -> np.ndarray:
     camera = capture.cameras["n0"]
-    values = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (camera.h, camera.w, channels), dtype, endpoint=True)
+    values = np.random.default_rng(0).integers(
+        0, np.iinfo(dtype).max, (camera.h, camera.w, channels), dtype, endpoint=True
+    )
     return values[..., 0] if channels == 1 else values
 
 
@@ -47,7 +51,9 @@ def test_a_picture_is_shown_as_it_is(folder, capture, name):
 def test_sixteen_bits_keep_their_precision(folder, capture):
     values = pixels(capture, 3, np.uint16)
     mi.Bitmap(values).write(str(folder / "n0" / "5.png"))
-    np.testing.assert_array_equal(np.round(loaded(folder, capture).render(capture.cameras["n0"], 5) * 65535), values)
+    np.testing.assert_array_equal(
+        np.round(loaded(folder, capture).render(capture.cameras["n0"], 5) * 65535), values
+    )
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -72,7 +78,9 @@ def test_alpha_is_composited_over_the_background_in_linear_light(folder, capture
     Image.fromarray(values).save(folder / "n0" / "5.png")
     image = loaded(folder, capture).render(capture.cameras["n0"], 5)
     colour, alpha = values[..., :3] / 255.0, values[..., 3:] / 255.0
-    expected = linear_to_srgb(alpha * srgb_to_linear(colour) + (1 - alpha) * srgb_to_linear(capture.background.astype(np.float64)))
+    expected = linear_to_srgb(
+        alpha * srgb_to_linear(colour) + (1 - alpha) * srgb_to_linear(capture.background.astype(np.float64))
+    )
     np.testing.assert_allclose(image, expected, atol=1e-5)
     np.testing.assert_allclose(image[0, 0], capture.background, atol=1e-6)
     np.testing.assert_array_equal(np.round(image[0, 1] * 255), values[0, 1, :3])
@@ -84,7 +92,9 @@ def test_missing_pictures_are_listed_before_anything_is_rendered(folder, capture
     expect_views(method, [VIEW])
     with pytest.raises(InputError) as error:
         expect_views(method, [VIEW, ("n0", 7), ("n1", 7)])
-    assert all(word in str(error.value) for word in ("2 of 3", "n0/000007.png", "n1/000007.png")) and "000005" not in str(error.value)
+    assert all(
+        word in str(error.value) for word in ("2 of 3", "n0/000007.png", "n1/000007.png")
+    ) and "000005" not in str(error.value)
     with pytest.raises(InputError, match="n1/000007.png"):
         method.render(capture.cameras["n1"], 7)
 
@@ -124,10 +134,20 @@ def test_it_cannot_be_trained(capture):
 def test_label_and_metadata_come_from_the_folder(folder, capture):
     Image.fromarray(pixels(capture, 3)).save(folder / "n0" / "5.png")
     method = loaded(folder, capture)
-    assert method.label == "theirs" and method.metadata()["pictures"] == 1 and str(folder) in method.metadata()["note"]
-    (folder / "metadata.json").write_text(json.dumps({"label": "Splats", "seconds": 12.5, "note": "By splats 1.2."}))
+    assert (
+        method.label == "theirs"
+        and method.metadata()["pictures"] == 1
+        and str(folder) in method.metadata()["note"]
+    )
+    (folder / "metadata.json").write_text(
+        json.dumps({"label": "Splats", "seconds": 12.5, "note": "By splats 1.2."})
+    )
     method = loaded(folder, capture)
-    assert method.label == "Splats" and method.metadata()["seconds"] == 12.5 and method.metadata()["note"] == "By splats 1.2."
+    assert (
+        method.label == "Splats"
+        and method.metadata()["seconds"] == 12.5
+        and method.metadata()["note"] == "By splats 1.2."
+    )
     (folder / "metadata.json").write_text("[1]")
     with pytest.raises(InputError, match="metadata.json"):
         loaded(folder, capture)

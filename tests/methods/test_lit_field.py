@@ -21,7 +21,9 @@ def lit(run, light: Light, spp: int, spacing: float = 0.0) -> LitField:
 
 @pytest.mark.long
 def test_a_grid_shows_what_the_field_itself_shows(make_constant_run, lit_capture):
-    """Constant extinction and albedo: except at the band's edges, where the grid smooths over a cell, both are the same medium."""
+    """Constant extinction and albedo: except at the band's edges, where the grid smooths over a cell, both
+    are the same medium.
+    """
     run = make_constant_run(25.0, srgb=(0.9, 0.7, 0.5), direction_octaves=-1, normal_octaves=-1)
     capture = lit_capture(run, "day")
     images, noise = [], 0.0
@@ -36,7 +38,11 @@ def test_a_grid_shows_what_the_field_itself_shows(make_constant_run, lit_capture
 
 def test_its_cache_key_depends_on_grid_light_and_samples(make_constant_run):
     run = make_constant_run(25.0)
-    keys = [lit(run, DARK, 2).cache_key(), lit(run, DARK, 4).cache_key(), lit(run, Light("other", {}), 2).cache_key()]
+    keys = [
+        lit(run, DARK, 2).cache_key(),
+        lit(run, DARK, 4).cache_key(),
+        lit(run, Light("other", {}), 2).cache_key(),
+    ]
     assert len(set(keys)) == 3 and lit(run, DARK, 2).cache_key() == keys[0]
 
 

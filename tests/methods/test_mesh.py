@@ -37,7 +37,11 @@ def test_it_recovers_the_texture(capture, trained):
 def test_metadata(trained, capture):
     known = trained.metadata()
     assert known["budget"] == 3.0 and known["steps"] > 10 and 0.5 < known["seen"] <= 1 and not known["sweep"]
-    assert known["tuned"] == {"rate": 0.1} and known["options"] == {"texture": 64} and known["capture"] == capture.digest
+    assert (
+        known["tuned"] == {"rate": 0.1}
+        and known["options"] == {"texture": 64}
+        and known["capture"] == capture.digest
+    )
     json.dumps(known, allow_nan=False)
 
 
@@ -47,7 +51,10 @@ def test_saved_and_loaded_it_renders_the_same(capture, trained, tmp_path):
     loaded.load(tmp_path / "mesh", capture)
     camera = capture.cameras["n0"]
     np.testing.assert_array_equal(loaded.render(camera, 5), trained.render(camera, 5))
-    assert json.dumps(loaded.metadata()) == json.dumps(trained.metadata()) and loaded.cache_key() == trained.cache_key()
+    assert (
+        json.dumps(loaded.metadata()) == json.dumps(trained.metadata())
+        and loaded.cache_key() == trained.cache_key()
+    )
 
 
 def test_damaged_files_are_named(capture, trained, tmp_path):
@@ -55,8 +62,13 @@ def test_damaged_files_are_named(capture, trained, tmp_path):
     with pytest.raises(InputError, match="mesh.json.*offset_rate"):
         OffsetMesh().load(tmp_path, capture)
     document = json.loads((tmp_path / "mesh.json").read_text())
-    for change, words in (({"version": 9}, "version"), ({"size": 0}, "size"), ({"seed": "x"}, "seed"), ({"more": 1}, "more"),
-                          ({"capture": "0"}, "capture")):
+    for change, words in (
+        ({"version": 9}, "version"),
+        ({"size": 0}, "size"),
+        ({"seed": "x"}, "seed"),
+        ({"more": 1}, "more"),
+        ({"capture": "0"}, "capture"),
+    ):
         (tmp_path / "mesh.json").write_text(json.dumps({**document, **change}))
         with pytest.raises(InputError, match=f"mesh.json.*{words}"):
             TexturedMesh().load(tmp_path, capture)
@@ -73,9 +85,25 @@ def test_damaged_files_are_named(capture, trained, tmp_path):
 def test_a_record_of_an_earlier_version_is_read(capture, trained, tmp_path):
     """Its members as the first version wrote them, in its order."""
     trained.save(tmp_path)
-    (tmp_path / "mesh.json").write_text(json.dumps({
-        "version": 1, "size": 64, "rate": 0.1, "sweep": {"0.1": 0.01}, "sweep_seconds": 2, "budget": None, "seconds": 7.5, "steps": 90,
-        "converged": True, "seen": 0.75, "seed": 0, "capture": capture.digest, "history": [[50, 4.0, 0.02], [90, 7.5, 0.01]]}))
+    (tmp_path / "mesh.json").write_text(
+        json.dumps(
+            {
+                "version": 1,
+                "size": 64,
+                "rate": 0.1,
+                "sweep": {"0.1": 0.01},
+                "sweep_seconds": 2,
+                "budget": None,
+                "seconds": 7.5,
+                "steps": 90,
+                "converged": True,
+                "seen": 0.75,
+                "seed": 0,
+                "capture": capture.digest,
+                "history": [[50, 4.0, 0.02], [90, 7.5, 0.01]],
+            }
+        )
+    )
     mesh = TexturedMesh()
     mesh.load(tmp_path, capture)
     assert mesh.metadata()["history"][1] == (90, 7.5, 0.01) and mesh.metadata()["converged"]

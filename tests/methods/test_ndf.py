@@ -21,13 +21,24 @@ def field(trained_run, capture) -> NeuralField:
 
 def test_its_metadata_describes_the_training(field, capture):
     known = field.metadata()
-    assert known["steps"] == 60 and known["seconds"] > 0 and known["capture"] == capture.digest and known["samples"] == 16
-    assert [entry[0] for entry in known["history"]] == [50, 60] and all(len(entry) == 3 for entry in known["history"])
+    assert (
+        known["steps"] == 60
+        and known["seconds"] > 0
+        and known["capture"] == capture.digest
+        and known["samples"] == 16
+    )
+    assert [entry[0] for entry in known["history"]] == [50, 60] and all(
+        len(entry) == 3 for entry in known["history"]
+    )
     json.dumps(known, allow_nan=False)
 
 
 def test_its_cache_key_depends_on_what_is_rendered(field, trained_run):
-    assert field.cache_key() == NeuralField.of(trained_run, 16).cache_key() != NeuralField.of(trained_run, 8).cache_key()
+    assert (
+        field.cache_key()
+        == NeuralField.of(trained_run, 16).cache_key()
+        != NeuralField.of(trained_run, 8).cache_key()
+    )
 
 
 def test_saved_and_loaded_it_renders_the_same(field, capture, tmp_path):
@@ -39,7 +50,9 @@ def test_saved_and_loaded_it_renders_the_same(field, capture, tmp_path):
     assert again.metadata() == field.metadata() and again.cache_key() == field.cache_key()
 
 
-def test_runs_of_another_capture_or_through_scattering_are_refused(trained_run, capture, write_capture, field, tmp_path):
+def test_runs_of_another_capture_or_through_scattering_are_refused(
+    trained_run, capture, write_capture, field, tmp_path
+):
     from ndf_mi.capture.capture import Capture
 
     with pytest.raises(InputError, match="digest"):

@@ -33,7 +33,11 @@ def test_metadata(trained):
     lengths = 1000 * np.linalg.norm(trained.offsets, axis=1)
     assert known["offset_median_mm"] == pytest.approx(np.median(lengths)) and known["offset_median_mm"] > 20
     assert known["offset_max_mm"] == pytest.approx(lengths.max())
-    assert known["budget"] == 4.0 and known["steps"] > 5 and known["tuned"] == {"rate": 0.05, "offset_rate": 0.02}
+    assert (
+        known["budget"] == 4.0
+        and known["steps"] > 5
+        and known["tuned"] == {"rate": 0.05, "offset_rate": 0.02}
+    )
     assert f"{known['offset_median_mm']:.0f} mm" in known["note"]
 
 

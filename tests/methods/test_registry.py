@@ -44,29 +44,35 @@ def test_built_in_methods_have_the_members_of_the_contract(key):
         assert callable(getattr(method, member))
 
 
-@pytest.mark.parametrize("text, spec, name", [
-    ("mesh", MethodSpec("mesh"), "mesh"),
-    (" mesh@equal-time", MethodSpec("mesh", None, "equal-time"), "mesh-equal-time"),
-    ("offset-mesh@converged", MethodSpec("offset-mesh", None, "converged"), "offset-mesh-converged"),
-    ("images:some/their system", MethodSpec("images", Path("some/their system")), "images-their-system"),
-    ("ndf:C@B:x", MethodSpec("ndf", Path("C@B:x")), "ndf-C-B-x"),
-])
+@pytest.mark.parametrize(
+    "text, spec, name",
+    [
+        ("mesh", MethodSpec("mesh"), "mesh"),
+        (" mesh@equal-time", MethodSpec("mesh", None, "equal-time"), "mesh-equal-time"),
+        ("offset-mesh@converged", MethodSpec("offset-mesh", None, "converged"), "offset-mesh-converged"),
+        ("images:some/their system", MethodSpec("images", Path("some/their system")), "images-their-system"),
+        ("ndf:C@B:x", MethodSpec("ndf", Path("C@B:x")), "ndf-C-B-x"),
+    ],
+)
 def test_a_method_is_read_from_the_command_line(text, spec, name):
     assert parse_spec(text) == spec and spec.name == name
     assert parse_spec(str(spec)) == spec
 
 
-@pytest.mark.parametrize("text, words", [
-    ("gauss", ["gauss", "ndf, mesh, offset-mesh, images"]),
-    ("", ["ndf"]),
-    ("mesh@fast", ["fast", "converged", "equal-time"]),
-    ("mesh@", ["converged", "equal-time"]),
-    ("mesh@converged:folder", ["folder", "budget"]),
-    ("mesh:folder@converged", ["folder", "budget"]),
-    ("mesh:", ["empty"]),
-    ("images", ["images:FOLDER"]),
-    ("images@converged", ["images:FOLDER"]),
-])
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("gauss", ["gauss", "ndf, mesh, offset-mesh, images"]),
+        ("", ["ndf"]),
+        ("mesh@fast", ["fast", "converged", "equal-time"]),
+        ("mesh@", ["converged", "equal-time"]),
+        ("mesh@converged:folder", ["folder", "budget"]),
+        ("mesh:folder@converged", ["folder", "budget"]),
+        ("mesh:", ["empty"]),
+        ("images", ["images:FOLDER"]),
+        ("images@converged", ["images:FOLDER"]),
+    ],
+)
 def test_what_cannot_be_read_is_named(text, words):
     with pytest.raises(InputError) as error:
         parse_spec(text)
@@ -82,7 +88,9 @@ def test_lists_are_separated_by_commas_and_without_repetition():
         parse_specs("")
 
 
-@pytest.mark.parametrize("wrong", [{"seconds": 0.0}, {"seconds": float("nan")}, {"seconds": float("inf")}, {"seed": -1}])
+@pytest.mark.parametrize(
+    "wrong", [{"seconds": 0.0}, {"seconds": float("nan")}, {"seconds": float("inf")}, {"seed": -1}]
+)
 def test_a_budget_out_of_range_is_refused(wrong):
     with pytest.raises(InputError):
         Budget(**wrong)

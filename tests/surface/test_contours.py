@@ -43,7 +43,9 @@ def capture_of(meshes: list[trimesh.Trimesh]) -> SimpleNamespace:
 
 
 def texture() -> mi.TensorXf:
-    return mi.TensorXf(np.array([[[0.9, 0.1, 0.2], [0, 0, 0]], [[0, 0, 0], [0.1, 0.3, 0.8]]], dtype=np.float32))
+    return mi.TensorXf(
+        np.array([[[0.9, 0.1, 0.2], [0, 0, 0]], [[0, 0, 0], [0.1, 0.3, 0.8]]], dtype=np.float32)
+    )
 
 
 def test_covered_area_of_a_sphere():
@@ -72,7 +74,7 @@ def test_contours_of_a_cube():
 
 
 def test_gradient_of_an_image_against_finite_differences():
-    # A small sphere before a large one: contours before the background and before the body, and shaded insides.
+    # A small sphere in front of a large one: contours against the background and against the body.
     meshes = [trimesh.creation.icosphere(subdivisions=3, radius=r) for r in (RADIUS, 0.2)]
     meshes[1].apply_translation([0.3, 0.1, 0.8])
     capture = capture_of(meshes)

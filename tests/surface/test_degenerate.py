@@ -12,14 +12,18 @@ def square(count: int = 9) -> tuple[np.ndarray, np.ndarray]:
     x, y = np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count), indexing="ij")
     vertices = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], axis=1)
     a = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
-    faces = np.concatenate([np.stack([a, a + count, a + count + 1], 1), np.stack([a, a + count + 1, a + 1], 1)])
+    faces = np.concatenate(
+        [np.stack([a, a + count, a + count + 1], 1), np.stack([a, a + count + 1, a + 1], 1)]
+    )
     return vertices, faces.astype(np.int32)
 
 
 def test_triangle_quality():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, np.sqrt(0.75), 0], [0, 1, 0], [2, 0, 0]])
     expected = [1, np.sqrt(3) / 2, 0]
-    np.testing.assert_allclose(triangle_quality(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        triangle_quality(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])), expected, atol=1e-12
+    )
 
 
 def test_repair_unfolds_what_is_folded_and_nothing_else():

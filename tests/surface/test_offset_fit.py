@@ -44,7 +44,9 @@ def test_recovers_a_bump(capture):
     distance = np.linalg.norm(capture.body.template - centre, axis=1, keepdims=True)
     bump = 0.2 * np.exp(-((distance / 0.25) ** 2)) * capture.body.template
     truth = {
-        (name, frame): draw(capture.body, capture.poses.vertices[index] + bump.astype(np.float32), capture.cameras[name])
+        (name, frame): draw(
+            capture.body, capture.poses.vertices[index] + bump.astype(np.float32), capture.cameras[name]
+        )
         for index, frame in enumerate(FRAMES[:2])
         for name in capture.splits["train"].cameras
     }
@@ -71,8 +73,15 @@ def test_same_seed_same_offsets(shrunk_capture):
 
 def test_the_first_step_is_the_best_of_a_search(shrunk_capture):
     short = Schedule(search_steps=3, search_frames=1, offset_rates=(1e-3, 2e-2))
-    fitted = fit_offsets(TexturedSurface(shrunk_capture, 16), RestFrames(shrunk_capture), shrunk_capture, 16, 0.05,
-                         seconds=0.1, schedule=short)
+    fitted = fit_offsets(
+        TexturedSurface(shrunk_capture, 16),
+        RestFrames(shrunk_capture),
+        shrunk_capture,
+        16,
+        0.05,
+        seconds=0.1,
+        schedule=short,
+    )
     losses = fitted.search.losses
     assert set(losses) == {"0.001", "0.02"} and min(losses, key=losses.get) == f"{fitted.search.rate:g}"
     assert not fitted.texture.search.losses and fitted.search.seconds > 0

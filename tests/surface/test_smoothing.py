@@ -19,7 +19,9 @@ def square(count: int = 9) -> tuple[np.ndarray, np.ndarray]:
     x, y = np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count), indexing="ij")
     vertices = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], axis=1)
     a = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
-    faces = np.concatenate([np.stack([a, a + count, a + count + 1], 1), np.stack([a, a + count + 1, a + 1], 1)])
+    faces = np.concatenate(
+        [np.stack([a, a + count, a + count + 1], 1), np.stack([a, a + count + 1, a + 1], 1)]
+    )
     return vertices, faces.astype(np.int32)
 
 
