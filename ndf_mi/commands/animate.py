@@ -122,7 +122,7 @@ class Animate:
                 raise InputError(f"--{name}", f"{value:g}", "a finite number")
         for name in ("turns", "azimuth", "elevation"):
             if getattr(self, name) is not None and self.camera != "orbit":
-                raise InputError(f"--{name}", f"it together with --camera {self.camera}", "--camera orbit")
+                raise InputError(f"--{name}", f"--camera {self.camera} as well", "--camera orbit")
 
     def _frames(self, count: int) -> range:
         """The requested frames of the motion, in order."""

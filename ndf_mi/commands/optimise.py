@@ -87,7 +87,7 @@ class Optimise:
                     "option": ()}
         given += [name for name, default in defaults.items() if getattr(self, name) != default]
         if given:
-            raise InputError("--resume", f"it together with --{given[0]}", "no other option",
+            raise InputError("--resume", f"--{given[0]} as well", "no other option",
                              "A resumed run keeps the options that it was started with.")
         return resume(self.out, capture)
 
@@ -101,7 +101,7 @@ class Optimise:
             self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds,
             seed=self.seed, integrator=self.integrator, planned=planned)
         if planned is not None and training.atlas != "body":
-            raise InputError("--model", f"it together with atlas={training.atlas}", "one of the two",
+            raise InputError("--model", f"atlas={training.atlas} as well", "one of the two",
                              "A plan chooses the grid's resolution for the body's own atlas.")
         base = planned or preset_of(self.preset)
         changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
@@ -116,7 +116,7 @@ class Optimise:
         if self.model is None:
             return None, None
         if self.preset != "fast":
-            raise InputError("--model", f"it together with --preset {self.preset}", "one of the two",
+            raise InputError("--model", f"--preset {self.preset} as well", "one of the two",
                              "Plans start from the preset fast.")
         from ndf_mi.commands.plan_console import planned, printed
         from ndf_mi.planning.plan import PlanSettings, read_preset

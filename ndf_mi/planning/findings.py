@@ -198,10 +198,10 @@ def about_colour(changes: dict[str, Any], full: Preset) -> Finding | None:
 def _evidence(estimate: Estimate, settings: PlanSettings, explains: str, held_out: str, unknown: str) -> str:
     if not math.isfinite(estimate.error):
         return unknown
-    where = f" in {held_out} not fitted" if held_out else ""
+    where = f" in {held_out} that were not fitted" if held_out else ""
     verdict = "" if estimate.significant else ", which is not significant"
     if estimate.value < -2 * estimate.error:
-        verdict += " (it fits errors of the geometry, which makes other images worse)"
+        verdict += " (the fit follows errors of the geometry and makes other images worse)"
     return (f"{explains} {1e4 * estimate.value:.2f} ± {1e4 * estimate.error:.2f} ·10⁻⁴ of the squared error"
             f"{where}{verdict}: {worth(estimate, settings):.2f} dB at {settings.accuracy:g} dB")
 
