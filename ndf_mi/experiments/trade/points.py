@@ -85,22 +85,18 @@ class Variant:
 def rendering_points(preset: Preset) -> list[Point]:
     """The points of the axes `RENDERING` and `PATHS`, which need no training; the usual setting is first."""
     usual = Setting()
-    turned: list[tuple[str, str, str, dict[str, Any]]] = []
-    turned += [("samples", f"samples-{n}", f"{n} samples", {"samples": n}) for n in (8, 16, 32, 64, 256, 512)]
-    turned += [
-        (
-            "stratified", f"stratified-{n}", f"{n} samples, shifted at random",
-            {"samples": n, "stratified": True},
-        )
-        for n in (16, 32, 128)
-    ]
-    turned += [
-        (
-            "termination", f"cutoff-{c:g}",
-            f"rays end at transmittance {c:g}" if c else "every ray to its end", {"cutoff": c},
-        )
-        for c in (0.0, 1e-3, 1e-2, 1e-1)
-    ]
+    points = [Point("usual", "usual", f"as usual: {usual.samples} samples", usual)]
+
+    def add(axis: str, key: str, label: str, **change: Any) -> None:
+        points.append(Point(key, axis, label, dataclasses.replace(usual, **change)))
+
+    for n in (8, 16, 32, 64, 256, 512):
+        add("samples", f"samples-{n}", f"{n} samples", samples=n)
+    for n in (16, 32, 128):
+        add("stratified", f"stratified-{n}", f"{n} samples, shifted at random", samples=n, stratified=True)
+    for c in (0.0, 1e-3, 1e-2, 1e-1):
+        label = f"rays end at transmittance {c:g}" if c else "every ray to its end"
+        add("termination", f"cutoff-{c:g}", label, cutoff=c)
     # `auto` takes one of the two forms; the other one is the point.
     width = max(
         (*preset.density_layers, *preset.colour_layers, *preset.colour_linear, *preset.deformation_layers)
@@ -111,53 +107,33 @@ def rendering_points(preset: Preset) -> list[Point]:
         "fused": ("evaluation", "networks as cooperative vectors"),
         "half": ("precision", "cooperative vectors in half precision"),
     }
-    turned += [
-        (forms[form][0], form, forms[form][1], {"networks": form})
-        for form in (other, "half")
-        if form in networks_here()
-    ]
-    turned += [("rays", f"rays-{n}", f"{n} rays a pixel", {"spp": n}) for n in (2, 4, 8)]
-    turned += [
-        ("size", f"size-{s:g}", f"{s:g} of the width and height", {"size": s}) for s in (0.25, 0.5, 0.75)
-    ]
-    turned += [
-        (
-            "together", f"samples-{n}-cutoff-0.01-size-{s:g}",
-            f"{n} samples, to 0.01" + (f", {s:g} of the size" if s < 1 else ""),
-            {"samples": n, "cutoff": 1e-2, "size": s},
-        )
-        for s in (0.5, 1.0)
-        for n in (16, 32, 64)
-    ]
-    turned += [("together", "samples-32-rays-4", "32 samples, 4 rays a pixel", {"samples": 32, "spp": 4})]
-    points = [Point("usual", "usual", f"as usual: {usual.samples} samples", usual)]
-    points += [
-        Point(key, axis, label, dataclasses.replace(usual, **change)) for axis, key, label, change in turned
-    ]
-    usual_path = PathSetting()
-    points += [
-        Point(f"path-{n}", "path", f"{n} paths a pixel", PathSetting(n)) for n in (2, usual_path.spp, 32)
-    ]
-    points += [
-        Point(
-            f"path-{b}", "path",
-            f"{usual_path.spp} paths a pixel, in the {'bounding box' if b == 'box' else 'shell'}",
-            PathSetting(bounds=b),
-        )
-        for b in ("box", "shell")
-    ]
+    for form in (other, "half"):
+        if form in networks_here():
+            add(forms[form][0], form, forms[form][1], networks=form)
+    for n in (2, 4, 8):
+        add("rays", f"rays-{n}", f"{n} rays a pixel", spp=n)
+    for share in (0.25, 0.5, 0.75):
+        add("size", f"size-{share:g}", f"{share:g} of the width and height", size=share)
+    for share in (0.5, 1.0):
+        for n in (16, 32, 64):
+            label = f"{n} samples, to 0.01" + (f", {share:g} of the size" if share < 1 else "")
+            key = f"samples-{n}-cutoff-0.01-size-{share:g}"
+            add("together", key, label, samples=n, cutoff=1e-2, size=share)
+    add("together", "samples-32-rays-4", "32 samples, 4 rays a pixel", samples=32, spp=4)
+    return points + _path_points(preset)
+
+
+def _path_points(preset: Preset) -> list[Point]:
+    usual = PathSetting()
+    points = [Point(f"path-{n}", "path", f"{n} paths a pixel", PathSetting(n)) for n in (2, usual.spp, 32)]
+    for bounds, name in (("box", "bounding box"), ("shell", "shell")):
+        label = f"{usual.spp} paths a pixel, in the {name}"
+        points.append(Point(f"path-{bounds}", "path", label, PathSetting(bounds=bounds)))
     if preset.direction_octaves < 0:
         # A grid holds one colour for all directions.
-        points += [
-            Point(
-                f"path-grid-{1e3 * cell:g}-{n}", "path", f"{n} paths a pixel, on a grid of {1e3 * cell:g} mm",
-                PathSetting(n, grid_spacing=cell),
-            )
-            for cell, n in (
-                (0.012, usual_path.spp), (0.006, usual_path.spp), (0.003, usual_path.spp), (0.003, 32),
-                (0.003, 128),
-            )
-        ]
+        for mm, n in ((12, usual.spp), (6, usual.spp), (3, usual.spp), (3, 32), (3, 128)):
+            label = f"{n} paths a pixel, on a grid of {mm} mm"
+            points.append(Point(f"path-grid-{mm}-{n}", "path", label, PathSetting(n, grid_spacing=mm / 1000)))
     return points
 
 
@@ -176,10 +152,8 @@ def variants_of(preset: Preset, options: TrainingOptions) -> list[Variant]:
     found = [variant(OWN, OWN, f"{preset.name}, unchanged")]
     for factor in (0.5, 2.0):
         band = preset.band * factor
-        inside = min(preset.band_inside, band)
-        found.append(
-            variant("band", f"band-{factor:g}", f"band of {100 * band:g} cm", band=band, band_inside=inside)
-        )
+        change = {"band": band, "band_inside": min(preset.band_inside, band)}
+        found.append(variant("band", f"band-{factor:g}", f"band of {100 * band:g} cm", **change))
     for factor in (0.5, 2.0):
         layers: dict[str, Any] = {
             key: tuple(max(round(factor * w), 4) for w in getattr(preset, key))
@@ -188,24 +162,18 @@ def variants_of(preset: Preset, options: TrainingOptions) -> list[Variant]:
         widths = "–".join(map(str, dict.fromkeys((*layers["density_layers"], *layers["colour_layers"]))))
         found.append(variant("width", f"width-{factor:g}", f"layers of {widths}", **layers))
     if preset.encoding == "grid":
-        found.append(
-            variant("encoding", "frequency", "frequencies in place of the grid", encoding="frequency")
-        )
-        coarse = max(preset.grid_finest // 4, preset.grid_base + 1)
-        found += [
-            variant("encoding", f"grid-{n}", f"grid of up to {n} cells", grid_finest=n)
-            for n in (coarse, 2 * preset.grid_finest)
-        ]
+        label = "frequencies in place of the grid"
+        found.append(variant("encoding", "frequency", label, encoding="frequency"))
+        for n in (max(preset.grid_finest // 4, preset.grid_base + 1), 2 * preset.grid_finest):
+            found.append(variant("encoding", f"grid-{n}", f"grid of up to {n} cells", grid_finest=n))
     else:
         found.append(variant("encoding", "grid", "a hash grid in place of frequencies", encoding="grid"))
+    length: dict[str, Any] = {"steps": options.steps, "seconds": options.seconds, "seed": options.seed}
+    lit = options.integrator != QUADRATURE
     for name, other in PRESETS.items():
         if name != preset.name:
-            lit = options.integrator != QUADRATURE
             trained = TrainingOptions.paper() if name == "paper" and not lit else options
-            trained = dataclasses.replace(
-                trained, steps=options.steps, seconds=options.seconds, seed=options.seed
-            )
-            found.append(
-                Variant(name, "preset", f"preset {name}", relightable(other)[0] if lit else other, trained)
-            )
+            architecture = relightable(other)[0] if lit else other
+            trained = dataclasses.replace(trained, **length)
+            found.append(Variant(name, "preset", f"preset {name}", architecture, trained))
     return found

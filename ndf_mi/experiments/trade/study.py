@@ -7,6 +7,7 @@ import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
 from ndf_mi.experiments.core import SILENT, Progress, Unit, run_units
 from ndf_mi.experiments.evaluate import choose_views, save_picture
-from ndf_mi.experiments.records import View
+from ndf_mi.experiments.records import Trained, View
 from ndf_mi.experiments.settings import at_least, positive
 from ndf_mi.experiments.store import Store
 from ndf_mi.experiments.trade import points
@@ -117,9 +118,8 @@ class TradeStudy:
         self._machine = machine.describe() | {"sources": hashlib.sha256(sources.encode()).hexdigest()[:12]}
         # What figures and memory depend on besides the point itself.
         self._environment = digest_of(self._machine)
-        self._renderings = Renderings(
-            self.capture, self.folder / CONVERGED / self._environment, views, settings.timed, settings.path_size
-        )
+        converged = self.folder / CONVERGED / self._environment
+        self._renderings = Renderings(self.capture, converged, views, settings.timed, settings.path_size)
         self._renderings.fields[RUN] = self._run
         everything = self._all_variants()
         self._variants = [
@@ -148,16 +148,7 @@ class TradeStudy:
             KeyboardInterrupt: stopped; the same study continues where it stopped.
         """
         self._store.about, self._store.summary = self.trade.about, self.trade.summary
-        run_units(
-            [
-                training_unit(
-                    f"fields/{v.key}", f"train {v.label}", self._place(v), self.capture, v.preset, v.options
-                )
-                for v in self._variants
-            ],
-            self._store,
-            progress,
-        )
+        run_units([self._training(variant) for variant in self._variants], self._store, progress)
         self._renderings.fields |= {variant.key: Run.load(self._place(variant)) for variant in self._variants}
         run_units([self._unit(point) for point in self.points], self._store, progress)
         keys = [self._renderings.cache_key(point) for point in self.points]
@@ -203,15 +194,19 @@ class TradeStudy:
         """What was measured of a point, on whatever machine, or None."""
         unit = self._unit(point)
         environment = self._store.inputs(unit.key).get("environment")
-        return self._store.fresh(dataclasses.replace(unit, inputs={**unit.inputs, "environment": environment}))
+        inputs = {**unit.inputs, "environment": environment}
+        return self._store.fresh(dataclasses.replace(unit, inputs=inputs))
+
+    def _training(self, variant: Variant) -> Unit[Trained]:
+        key, label, place = f"fields/{variant.key}", f"train {variant.label}", self._place(variant)
+        return training_unit(key, label, place, self.capture, variant.preset, variant.options)
 
     def _unit(self, point: Point) -> Unit[Drawn]:
         """Rendering and measuring a point."""
         pictures = tuple(self._picture(point.key, view) for view in self._renderings.views(point))
-        return Unit(
-            f"draw/{point.key}", {"images": self._renderings.cache_key(point), "environment": self._environment},
-            lambda: self._measure(point), Drawn, pictures, f"render {point.label}", "render",
-        )
+        inputs = {"images": self._renderings.cache_key(point), "environment": self._environment}
+        work = partial(self._measure, point)
+        return Unit(f"draw/{point.key}", inputs, work, Drawn, pictures, f"render {point.label}", "render")
 
     def _measure(self, point: Point) -> Drawn:
         # First, because a scene that is loaded later would count as memory of this point.
