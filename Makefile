@@ -29,7 +29,7 @@ lint: setup
 	$(bin)/ruff check .
 	$(bin)/mypy
 
-# After `make demo`; others by RUN=… CAPTURE=…. The long ones, choices.py, folds.py, growth.py and plan.py, are called by hand.
+# The run and capture that benchmarks use. choices.py, folds.py, growth.py and plan.py take long: run them by hand.
 RUN ?= demo/run
 CAPTURE ?= demo/capture
 
