@@ -56,12 +56,10 @@ class Ablate:
     """Which images are measured, and what the capture must hold; see docs/protocols.md."""
 
     max_images: int | None = None
-    """Images measured of the novel views, and of the novel poses; 48 by default, all with `zju` and
-    `dynacap`.
-    """
+    """Images measured of each held-out split; 48 by default, all with `zju` and `dynacap`."""
 
     sequence: int = 12
-    """Successive frames of each split that temporal consistency is measured on; 0 leaves it out."""
+    """Successive frames that temporal consistency is measured on, in one camera; 0 leaves it out."""
 
     samples: int = 128
     """Candidate samples a ray."""

@@ -13,6 +13,12 @@ from ndf_mi.commands.command_line import command_line
 from ndf_mi.deprecated import DeprecatedOption, RenamedValue, ReplacedOption
 
 REPORT = "report.html"
+_METHODS_HELP = (
+    "What is compared, separated by commas; differences refer to the first. `ndf` is the run, `mesh` a "
+    "textured mesh, `offset-mesh` one whose vertices are trained too, `ndf:FOLDER` another run, and "
+    "`images:FOLDER` pictures that another program rendered, as FOLDER/CAMERA/FRAME.png. `@equal-time` or "
+    "`@converged` after a name sets how long it is trained."
+)
 
 
 @dataclass
@@ -42,11 +48,7 @@ class Compare:
     capture: Path
     """Folder of the capture that the run was trained on."""
 
-    methods: str = "ndf,mesh,offset-mesh"
-    """What is compared, separated by commas; differences refer to the first. `ndf` is the run; `mesh` a
-    textured mesh; `offset-mesh` one whose vertices are trained too; `ndf:FOLDER` another run; `images:FOLDER`
-    pictures that another program rendered, as FOLDER/CAMERA/FRAME.png. `@equal-time` or `@converged` after a
-    name sets how long it is trained."""
+    methods: Annotated[str, tyro.conf.arg(help=_METHODS_HELP)] = "ndf,mesh,offset-mesh"
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the report, figures and pictures; RUN by default."""
@@ -58,14 +60,10 @@ class Compare:
     """Which images are measured, what the capture must hold and which metrics lead; see docs/protocols.md."""
 
     max_images: int | None = None
-    """Images measured of the novel views, and of the novel poses; 48 by default, all with `zju` and
-    `dynacap`.
-    """
+    """Images measured of each held-out split; 48 by default, all with `zju` and `dynacap`."""
 
     sequence: int = 12
-    """Successive frames of each split, in one camera, that temporal consistency is measured on; 0 leaves it
-    out.
-    """
+    """Successive frames that temporal consistency is measured on, in one camera; 0 leaves it out."""
 
     texture: int = 512
     """Width and height of the meshes' textures in texels."""

@@ -40,14 +40,13 @@ class Relight:
     """Samples a pixel, an even number."""
 
     max_images: int | None = None
-    """Images measured of the novel views, and of the novel poses; 48 by default."""
+    """Images measured of each held-out split; 48 by default."""
 
     texture: int = 256
     """Width and height of the mesh's reflectance texture in texels."""
 
     grid_spacing: float = 0.0
-    """Shows the field on a grid of this spacing in metres, as it was trained: several times as fast as the
-    field itself, which 0 shows, and blurred by a cell."""
+    """Spacing in metres of a grid that replaces the field: much faster, blurred by a cell; 0 for none."""
 
     seed: int = 0
     """Seed of the choice of images and of the mesh's training."""
