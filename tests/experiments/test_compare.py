@@ -5,6 +5,7 @@ methods.
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +16,12 @@ from PIL import Image
 
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
+from ndf_mi.capture.images import write_image
 from ndf_mi.commands import main
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
 from ndf_mi.experiments.compare import RESULTS, Comparison, Settings
-from ndf_mi.experiments.core import Progress
+from ndf_mi.experiments.core import SILENT, Progress
 from ndf_mi.field import PRESETS
 from ndf_mi.methods import registry
 from ndf_mi.run import Run
@@ -93,7 +95,7 @@ def settings(*methods: str, **more) -> Settings:
     return Settings(**{"max_images": 1, "texture": 32, "samples": 16, "sequence": 0, **more}, methods=methods)
 
 
-def compared(run, capture, folder, *methods: str, progress=None, **more):
+def compared(run, capture, folder, *methods: str, progress=SILENT, **more):
     return Comparison(run, capture.path, folder, settings(*methods, **more), "ndf-mi compare …").run(progress)
 
 
@@ -253,6 +255,19 @@ def test_real_methods_by_the_command_line(run, capture, tmp_path, capsys):
         mesh["metadata"]["budget"] == 0.3
         and mesh["means"]["novel_view"]["box_psnr"] > field["means"]["novel_view"]["box_psnr"]
     )
+
+
+def test_pictures_of_another_program_are_measured(run, capture, tmp_path):
+    views = dict.fromkeys(view for split in capture.splits.values() for view in split)
+    for camera, frame in views:
+        write_image(tmp_path / "theirs" / camera / f"{frame}.png", capture.image(camera, frame))
+    theirs = f"images:{tmp_path / 'theirs'}"
+    (method,) = compared(run, capture, tmp_path, theirs).methods
+    assert (method.key, method.label) == ("images-theirs", "theirs")
+    assert method.mean("novel_view", "box_psnr") == math.inf
+    (tmp_path / "theirs" / "n0" / "2.png").unlink()
+    with pytest.raises(InputError, match="n0/000002.png"):
+        compared(run, capture, tmp_path / "again", theirs, max_images=10)
 
 
 @pytest.mark.parametrize("value", ["none", "equal-time", "some"])
