@@ -151,8 +151,8 @@ def _orders(results: Results) -> list[str]:
     """A sentence for each split on the order of the variants."""
     found = [(SPLIT_LABELS[split].capitalize(), order(results, split)) for split in _splits(results)]
     return [
-        f"{split}: {known[0]} of {tables.count(known[1], 'pair')} of variants in the paper’s order, counting the "
-        f"pairs that the paper separates by more than {LEVEL} dB."
+        f"{split}: {known[0]} of {tables.count(known[1], 'pair')} of variants in the paper’s order, "
+        f"counting the pairs that the paper separates by more than {LEVEL} dB."
         for split, known in found if known is not None
     ]
 

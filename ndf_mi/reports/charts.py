@@ -7,7 +7,7 @@ import io
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import matplotlib
@@ -27,6 +27,15 @@ _SMALL, _LARGE = (4.6, 2.8), (5.0, 3.8)
 
 
 @dataclass(frozen=True)
+class Key:
+    """An entry of a legend: the shape is `solid`, `dotted`, `dashed` (lines) or `ring`, the colour is CSS."""
+
+    label: str
+    colour: str
+    shape: str
+
+
+@dataclass(frozen=True)
 class Chart:
     """A drawing.
 
@@ -34,11 +43,13 @@ class Chart:
         title: printed above the chart; may be empty.
         alt: what is seen, with its figures, for those who cannot see it.
         svg: an `<svg>` element without a size of its own.
+        legend: what the lines and points are; printed below the title.
     """
 
     title: str
     alt: str
     svg: str
+    legend: tuple[Key, ...] = ()
 
 
 Series = tuple[str, Sequence[float], Sequence[float]]
@@ -62,23 +73,25 @@ def line_chart(
         log_x: whether x is drawn on a logarithmic axis; all x are positive then.
     """
     lines = [*series, *([reference] if reference is not None else [])]
-    figure, axes = _axes(x_label, y_label, size=_SMALL if len(lines) < 4 else _LARGE)
-    for index, (label, x, y) in enumerate(series):
-        axes.plot(x, y, label=label, linewidth=1.6, color=LINES[index % len(LINES)], marker=_marker(x, "o"))
-    if reference is not None:
-        label, x, y = reference
-        marker = _marker(x, "_")
-        axes.plot(x, y, label=label, linewidth=1.2, linestyle="--", color=INK, alpha=0.6, marker=marker)
+    figure, axes = _axes(x_label, y_label)
+    keys = []
+    for index, (label, x, y) in enumerate(lines):
+        colour, shape = LINES[index % len(LINES)], "solid" if index < len(LINES) else "dotted"
+        if index == len(series):
+            colour, shape = INK, "dashed"
+        # A line of a point or two would hardly show.
+        marker = "o" if len(x) < 3 else None
+        axes.plot(x, y, color=colour, linestyle=shape, linewidth=1.6, marker=marker, markersize=5)
+        keys.append(Key(label, colour, shape))
     values = [value for _, x, _ in lines for value in x]
     if log_x:
         axes.set_xscale("log")
         _ticks(axes.xaxis, max(values) / min(values))
     else:
-        axes.xaxis.set_major_locator(MaxNLocator("auto", integer=all(value == round(value) for value in values)))
-    if len(lines) > 1:
-        _legend(axes, columns=2)
+        whole = all(value == round(value) for value in values)
+        axes.xaxis.set_major_locator(MaxNLocator("auto", integer=whole))
     alt = f"Line chart of {y_label} against {x_label}. " + " ".join(map(_describe, lines))
-    return _chart(figure, title, alt)
+    return _chart(figure, title, alt, keys if len(keys) > 1 else [])
 
 
 def front_chart(
@@ -105,27 +118,29 @@ def front_chart(
     hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none"}
     rest = [point for index, point in enumerate(points) if index not in front]
     x, y = [x for _, x, _ in rest], [y for _, _, y in rest]
-    axes.plot(x, y, **hollow, color=INK, alpha=0.55, markersize=4, label="dominated")
+    axes.plot(x, y, **hollow, color=INK, alpha=0.55, markersize=4)
     x, y = [points[i][1] for i in front], [points[i][2] for i in front]
-    axes.plot(x, y, "o-", color=LINES[0], linewidth=1.4, markersize=5, label="Pareto front")
+    axes.plot(x, y, "o-", color=LINES[0], linewidth=1.4, markersize=5)
+    keys = [Key("Pareto front", LINES[0], "solid"), Key("dominated", INK, "ring")]
     if knee is not None:
-        ring = {"color": LINES[1], "markersize": 12, "markeredgewidth": 1.6, "label": "knee"}
+        ring = {"color": LINES[1], "markersize": 12, "markeredgewidth": 1.6}
         axes.plot(points[knee][1], points[knee][2], **hollow, **ring)
-    _name_points(axes, points, front, knee)
+        keys.append(Key("knee", LINES[1], "ring"))
     if reference is not None:
         label, level = reference
-        axes.axhline(level, color=INK, linestyle="--", linewidth=1.0, alpha=0.6, label=label)
-    # Names stand left of their points, where a front has no other point above and before.
+        axes.axhline(level, color=INK, linestyle="--", linewidth=1.0, alpha=0.6)
+        keys.append(Key(label, INK, "dashed"))
     low, high = min(x for _, x, _ in points), max(x for _, x, _ in points)
     reach = max(high / low, 1.2)
-    axes.set_xlim(low / reach**0.4, high * reach**0.06)
+    axes.set_xlim(low / reach**0.05, high * reach**0.05)
     axes.margins(y=0.1)
-    _ticks(axes.xaxis, reach)
-    _legend(axes, columns=4)
+    _name_points(axes, points, front, knee)
+    left, right = axes.get_xlim()
+    _ticks(axes.xaxis, right / left)
     names = ["{}: {:.3g}, {:.2f}".format(*points[i]) + " (knee)" * (i == knee) for i in front]
     alt = f"Scatter chart of {y_label} against {x_label}: {len(points)} points. On the Pareto front: "
     alt += "; ".join(names) + "." + ("" if reference is None else f" Dashed line: {label}, {level:.2f}.")
-    return _chart(figure, title, alt)
+    return _chart(figure, title, alt, keys)
 
 
 def growth_chart(growth: Growth, x_label: str, y_label: str, title: str) -> Chart:
@@ -133,19 +148,19 @@ def growth_chart(growth: Growth, x_label: str, y_label: str, title: str) -> Char
     figure, axes = _axes(x_label, y_label)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.plot(growth.x, growth.y, "o", color=LINES[0], markersize=5, label="measured")
+    axes.plot(growth.x, growth.y, "o", color=LINES[0], markersize=5)
     line = np.geomspace(min(growth.x), max(growth.x), 100)
-    axes.plot(line, growth.at(line), color=LINES[1], linewidth=1.3, label=growth.formula())
+    axes.plot(line, growth.at(line), color=LINES[1], linewidth=1.3)
     for axis, values in ((axes.xaxis, growth.x), (axes.yaxis, growth.y)):
         _ticks(axis, max(values) / min(values))
     # A curve that hardly rises must not fill the height with its noise.
     low, high = min(growth.y), max(growth.y)
     if high < 2 * low:
         axes.set_ylim(low / 1.5, high * 1.5)
-    _legend(axes, columns=2)
+    keys = [Key("measured", LINES[0], "ring"), Key(growth.formula(), LINES[1], "solid")]
     alt = f"Chart of {y_label} against {x_label}, fitted by {growth.formula()}. Measured: "
     alt += "; ".join(f"{y:.3g} at {x:,g}" for x, y in zip(growth.x, growth.y, strict=True)) + "."
-    return _chart(figure, title, alt)
+    return _chart(figure, title, alt, keys)
 
 
 def _axes(x_label: str, y_label: str, size: tuple[float, float] = _SMALL) -> tuple[Figure, Any]:
@@ -161,7 +176,7 @@ def _axes(x_label: str, y_label: str, size: tuple[float, float] = _SMALL) -> tup
     return figure, axes
 
 
-def _chart(figure: Figure, title: str, alt: str) -> Chart:
+def _chart(figure: Figure, title: str, alt: str, keys: Sequence[Key]) -> Chart:
     """The drawing as an `<svg>` element that scales; what is drawn in `INK` has the page's text colour."""
     stream = io.StringIO()
     # Identifiers must differ between the charts of a page, and not from run to run.
@@ -175,30 +190,32 @@ def _chart(figure: Figure, title: str, alt: str) -> Chart:
     # Only clip paths and markers are referred to; the names of groups are the same in every chart.
     text = re.sub(r' id="[A-Za-z0-9.]+_\d+"', "", text)
     opening, rest = text.split(">", 1)
-    return Chart(title, alt, re.sub(r' (width|height)="[^"]*"', "", opening) + ">" + rest)
+    svg = re.sub(r' (width|height)="[^"]*"', "", opening) + ">" + rest
+    legend = (replace(key, colour=key.colour.replace(INK, "currentColor")) for key in keys)
+    return Chart(title, alt, svg, tuple(legend))
 
 
 def _name_points(
     axes: Any, points: Sequence[tuple[str, float, float]], front: Sequence[int], knee: int | None
 ) -> None:
-    """Writes the names of the front's points, except where one would overlap the name below it."""
+    """Writes the names of the front's points, except where one would overlap the name below it.
+
+    Names stand left of their points, where a front has no other point above and before; the axis makes room.
+    """
     named: list[int] = []
     height = max(y for _, _, y in points) - min(y for _, _, y in points)
+    left, right = np.log(axes.get_xlim())
     for index in front:
         label, x, y = points[index]
-        if named and index not in (knee, front[-1]) and y - points[named[-1]][2] < 0.04 * height:
+        if named and index not in (knee, front[-1]) and y - points[named[-1]][2] < 0.06 * height:
             continue
         named.append(index)
         style = {"fontsize": _FONT, "color": INK, "horizontalalignment": "right"}
         axes.annotate(label, (x, y), xytext=(-5, 5), textcoords="offset points", **style)
-
-
-def _legend(axes: Any, columns: int) -> None:
-    """A legend above the drawing, in fewer columns where labels are long."""
-    longest = max(len(label) for label in axes.get_legend_handles_labels()[1])
-    columns = max(1, min(columns, 70 // (longest + 7)))
-    place = {"loc": "lower left", "bbox_to_anchor": (0, 1), "borderaxespad": 0.2}
-    axes.legend(frameon=False, labelcolor=INK, fontsize=_FONT, ncols=columns, **place)
+        # A letter is about a sixtieth of the axis wide; long names may reach over the axis.
+        width = min((len(label) + 2) / 60, 0.5)
+        left = min(left, (np.log(x) - width * right) / (1 - width))
+    axes.set_xlim(np.exp(left), np.exp(right))
 
 
 def _ticks(axis: Any, reach: float) -> None:
@@ -206,11 +223,6 @@ def _ticks(axis: Any, reach: float) -> None:
     axis.set_major_locator(LogLocator(subs=(1,) if reach > 30 else (1, 2, 3, 5)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_locator(NullLocator())
-
-
-def _marker(x: Sequence[float], marker: str) -> str | None:
-    """A marker where there are too few points for a line to show."""
-    return marker if len(x) < 3 else None
 
 
 def _describe(series: Series) -> str:

@@ -47,8 +47,16 @@ def test_lines_are_described():
 def test_a_front_is_described_and_named():
     chart = charts.front_chart(POINTS, [0, 2, 3], 2, "seconds", "dB", "", ("converged", 27.0))
     assert "4 points" in chart.alt and "middle: 0.4, 25.00 (knee)" in chart.alt and "converged, 27.00" in chart.alt
-    assert all(f">{label}<" in chart.svg for label in ("quick", "middle", "best", "dominated", "knee"))
+    assert all(f">{label}<" in chart.svg for label in ("quick", "middle", "best"))
     assert ">beaten<" not in chart.svg
+    assert [key.label for key in chart.legend] == ["Pareto front", "dominated", "knee", "converged"]
+    assert chart.legend[-1].colour == "currentColor"
+
+
+def test_any_number_of_lines_can_be_told_apart():
+    chart = charts.line_chart([(f"method {i}", [1, 2], [i, i]) for i in range(9)], "x", "y", "")
+    assert len({(key.colour, key.shape) for key in chart.legend}) == 9
+    assert not charts.line_chart([("alone", [1, 2], [3, 4])], "x", "y", "").legend
 
 
 def test_growth_is_described_by_its_fit():
