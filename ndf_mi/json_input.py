@@ -81,8 +81,13 @@ def validated(value: Any, kind: type[T], where: str, repair: str = "") -> T:
         text, _, place = str(error).partition(" - at `$")
         place = place.rstrip("`")
         missing = re.fullmatch("Object missing required field `(.*)`", text)
+        unknown = re.fullmatch("Object contains unknown field `(.*)`", text)
         if missing:
             place, found, expected = f"{place}.{missing[1]}", "nothing", "a value"
+        elif unknown:
+            place, found, expected = f"{place}.{unknown[1]}", "an unknown key", "keys of this format only"
+        elif text == "Number out of range":
+            found, expected = shown(_at(value, place)), "a finite number"
         elif text.startswith("Expected "):
             expected, _, got = text.removeprefix("Expected ").partition(", got ")
             # msgspec does not name the keys of dicts.

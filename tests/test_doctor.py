@@ -73,7 +73,9 @@ def test_missing_package_is_named(monkeypatch, no_probes):
 
 
 def test_missing_extras_are_listed_with_the_command_that_installs_them(monkeypatch, no_probes, capsys):
-    monkeypatch.setattr(optional, "requirements", lambda: {"": ["numpy"], "atlas": ["not-there"], "video": ["numpy"], "dev": ["nor-this"]})
+    monkeypatch.setattr(optional, "requirements",
+                        lambda: {"": ["numpy"], "atlas": ["not-there"], "video": ["numpy"],
+                                 "dev": ["nor-this"]})
     extras = [finding for finding in doctor.examine() if finding.name.startswith("extra")]
     assert [finding.name for finding in extras] == ["extra atlas"]
     assert "not-there" in extras[0].found and extras[0].repair == 'pip install "ndf-mi[atlas]"'

@@ -1,10 +1,13 @@
-"""Which module imports which: imports run one way through the package, without circles. Imports for type checkers alone don't count."""
+"""Which module imports which: imports run one way through the package, without circles. Imports for type
+checkers alone don't count.
+"""
 
 from __future__ import annotations
 
 from import_graph import GRAPH
 
-#: Layers from the top down. A module imports from its own layer and from those below it; what is not listed is below all of them.
+#: Layers from the top down. A module imports from its own layer and from those below it; what is not listed
+#: is below all of them.
 LAYERS = (
     ("commands",),
     ("experiments", "reports", "stability"),

@@ -135,7 +135,9 @@ import ndf_mi
 
 
 def test_old_llvm_loaded_before_import_is_refused(tmp_path):
-    """Dr.Jit imported first, with 15: an ImportError that names the remedy, not an abort at the first render."""
+    """Dr.Jit imported first, with 15: an ImportError that names the remedy, not an abort at the first
+    render.
+    """
     assert import_after_old_drjit(tmp_path)[1] == f"  Install one: {llvm.install_command()}"
 
 
@@ -150,4 +152,5 @@ def test_old_llvm_loaded_before_import_names_the_better_one(tmp_path):
 def test_runs_by_itself():
     result = subprocess.run([sys.executable, "-I", llvm.__file__], capture_output=True, text=True)
     found = llvm.find()
-    assert (result.returncode, result.stdout.strip()) == ((0, str(found)) if found else (1, llvm.install_command()))
+    assert (result.returncode, result.stdout.strip()) == ((0, str(found)) if found else (1,
+                                                                                         llvm.install_command()))

@@ -21,21 +21,25 @@ def hit(scene: mi.Scene, x: float, y: float) -> mi.SurfaceInteraction3f:
 def test_counter_clockwise_triangles_face_the_viewer() -> None:
     found = hit(mi.load_dict({"type": "scene", "square": make_mesh("square", SQUARE, FACES)}), 0.25, 0.5)
     np.testing.assert_allclose(np.ravel(found.n), [0, 0, 1], atol=1e-6)
-    turned = hit(mi.load_dict({"type": "scene", "square": make_mesh("square", SQUARE, FACES[:, ::-1])}), 0.25, 0.5)
+    turned = hit(mi.load_dict({"type": "scene", "square": make_mesh("square", SQUARE, FACES[:, ::-1])}), 0.25,
+                 0.5)
     np.testing.assert_allclose(np.ravel(turned.n), [0, 0, -1], atol=1e-6)
 
 
 def test_texture_coordinates_and_attributes_are_interpolated() -> None:
-    mesh = make_mesh("square", SQUARE, FACES, uv=SQUARE[:, :2] * [1, 0.5], attributes={"vertex_height": SQUARE[:, 1:2] + 3})
+    mesh = make_mesh("square", SQUARE, FACES, uv=SQUARE[:, :2] * [1, 0.5],
+                     attributes={"vertex_height": SQUARE[:, 1:2] + 3})
     found = hit(mi.load_dict({"type": "scene", "square": mesh}), 0.25, 0.5)
     np.testing.assert_allclose(np.ravel(found.uv), [0.25, 0.25], atol=1e-6)
     assert mesh.eval_attribute_1("vertex_height", found)[0] == pytest.approx(3.5)
 
 
 @pytest.mark.parametrize(("smooth", "shading"), [(False, (0, 0, 1)), (True, (0.5**0.5, 0, 0.5**0.5))])
-def test_smooth_meshes_shade_by_vertex_normals_that_follow_the_vertices(smooth: bool, shading: tuple[float, ...]) -> None:
+def test_smooth_meshes_shade_by_vertex_normals_that_follow_the_vertices(smooth: bool,
+                                                                        shading: tuple[float, ...]) -> None:
     """Two squares that meet at a right angle along x = 0: at the fold, the vertex normals lie halfway."""
-    vertices = np.array([[-1, 0, 0], [0, 0, 0], [0, 1, 0], [-1, 1, 0], [0, 0, -1], [0, 1, -1]], dtype=np.float64)
+    vertices = np.array([[-1, 0, 0], [0, 0, 0], [0, 1, 0], [-1, 1, 0], [0, 0, -1], [0, 1, -1]],
+                        dtype=np.float64)
     faces = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]])
     flat = vertices.copy()
     flat[4:] = [[1, 0, 0], [1, 1, 0]]

@@ -22,7 +22,8 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it() -> None:
     assert raised.value.repair == 'pip install "ndf-mi[atlas]"'
 
 
-def test_an_error_inside_a_package_is_not_mistaken_for_a_missing_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_inside_a_package_is_not_mistaken_for_a_missing_one(tmp_path: Path,
+                                                                     monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "broken_package.py").write_text("import surely_not_there")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ModuleNotFoundError, match="surely_not_there"):
@@ -30,7 +31,8 @@ def test_an_error_inside_a_package_is_not_mistaken_for_a_missing_one(tmp_path: P
 
 
 def test_requirements_are_those_of_the_metadata(monkeypatch: pytest.MonkeyPatch) -> None:
-    lines = ["numpy>=2.2", "libigl<3,>=2.6; extra == 'atlas'", 'imageio>=2.34; extra == "video"', "ndf-mi[atlas,video]; extra == 'all'"]
+    lines = ["numpy>=2.2", "libigl<3,>=2.6; extra == 'atlas'", 'imageio>=2.34; extra == "video"',
+             "ndf-mi[atlas,video]; extra == 'all'"]
     monkeypatch.setattr("importlib.metadata.requires", lambda name: lines)
     assert optional.requirements() == {"": ["numpy"], "atlas": ["libigl"], "video": ["imageio"]}
     assert optional.missing_packages(["numpy", "surely-not-there"]) == ["surely-not-there"]

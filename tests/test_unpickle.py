@@ -1,4 +1,6 @@
-"""The restricted unpickler: arrays of every kind come back as they were put in; whatever else is named ends the reading."""
+"""The restricted unpickler: arrays of every kind come back as they were put in; whatever else is named ends
+the reading.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def write(path: Path, data: bytes) -> Path:
 
 
 def chumpy(monkeypatch: pytest.MonkeyPatch) -> tuple[type, type]:
-    """Classes with the names and the stored attributes of chumpy's, so that real pickles of them can be written."""
+    """Classes with the names and the stored attributes of chumpy's, so that real pickles of them can be
+    written.
+    """
     ch, reordering = types.ModuleType("chumpy.ch"), types.ModuleType("chumpy.reordering")
     monkeypatch.setitem(sys.modules, "chumpy", types.ModuleType("chumpy"))
     kinds = []
@@ -78,7 +82,8 @@ def test_names_of_both_numpys(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found, [0, 1, 2])
 
 
-# What Python 2's pickle.dumps({'a': np.array([1.5, -2.0]), 'k': 'caf\xe9'}, protocol) wrote, put down by hand from its opcodes.
+# What Python 2's pickle.dumps({'a': np.array([1.5, -2.0]), 'k': 'caf\xe9'}, protocol) wrote, put down by hand
+# from its opcodes.
 PYTHON_2 = {
     0: b"(dp0\nS'a'\np1\ncnumpy.core.multiarray\n_reconstruct\np2\n(cnumpy\nndarray\np3\n(I0\ntp4\nS'b'\np5\ntp6\nRp7\n"
        b"(I1\n(L2L\ntp8\ncnumpy\ndtype\np9\n(S'f8'\np10\nI0\nI1\ntp11\nRp12\n(I3\nS'<'\np13\nNNNI-1\nI-1\nI0\ntp14\nbI00\n"
@@ -108,12 +113,15 @@ def test_sparse(tmp_path: Path, form: str, protocol: int) -> None:
     if protocol < 4:
         old = data.replace(f"scipy.sparse._{form[:3]}".encode(), f"scipy.sparse.{form[:3]}".encode())
         assert old != data
-        np.testing.assert_array_equal(unpickle.load_pickle(write(tmp_path / "b.pkl", old))["m"].toarray(), dense)
+        np.testing.assert_array_equal(unpickle.load_pickle(write(tmp_path / "b.pkl", old))["m"].toarray(),
+                                      dense)
 
 
 @pytest.mark.parametrize("protocol", range(6))
 def test_chumpy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: int) -> None:
-    """The array alone is kept: other attributes may hold what they will, an array among them that refers back."""
+    """The array alone is kept: other attributes may hold what they will, an array among them that refers
+    back.
+    """
     ch, select = chumpy(monkeypatch)
     values = np.arange(24.0).reshape(2, 3, 4)
     leaf = made(ch, x=values, _dirty_vars={"x"}, _itr=None)
@@ -137,14 +145,16 @@ def test_ordered_dict(tmp_path: Path) -> None:
 
 
 #: In the place of {'descr': '<i8', 'fortran_order': False, 'shape': (9,), }
-HEADERS = [b"{'descr': '<i8', 'fortran_order': False, 'shape': (9,), ", b"{'descr': (), 'fortran_order': False, 'shape': (9,)}",
+HEADERS = [b"{'descr': '<i8', 'fortran_order': False, 'shape': (9,), ",
+           b"{'descr': (), 'fortran_order': False, 'shape': (9,)}",
            b"{'descr': '<i8', 'fortran_order': False, 'shape': (99999999999999999999999,)}"]  # fmt: skip
 
 
 class TestNpy:
     def test_object(self, tmp_path: Path) -> None:
         path = tmp_path / "annots.npy"
-        np.save(path, {"cams": {"K": [np.eye(3), np.zeros(2)]}, "ims": [{"ims": ["a/0.jpg"]}]}, allow_pickle=True)
+        np.save(path, {"cams": {"K": [np.eye(3), np.zeros(2)]}, "ims": [{"ims": ["a/0.jpg"]}]},
+                allow_pickle=True)
         found = unpickle.load_npy(path)
         np.testing.assert_array_equal(found["cams"]["K"][0], np.eye(3))
         assert found["ims"] == [{"ims": ["a/0.jpg"]}]
@@ -209,7 +219,8 @@ class Calls:
     (np.frombuffer, (b"",), "frombuffer"),
     (collections.defaultdict, (list,), "defaultdict"),
 ])  # fmt: skip
-def test_another_name_is_refused_and_not_run(tmp_path: Path, function: Any, arguments: Any, name: str, protocol: int) -> None:
+def test_another_name_is_refused_and_not_run(tmp_path: Path, function: Any, arguments: Any, name: str,
+                                             protocol: int) -> None:
     target = tmp_path / "touched"
     arguments = tuple(a.replace("PATH", str(target)) if isinstance(a, str) else a for a in arguments)
     data = pickle.dumps({"v_template": Calls(function, *arguments)}, protocol)

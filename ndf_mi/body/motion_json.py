@@ -17,21 +17,41 @@ shorter way: turns of more than 180° need a keyframe in between. Joints have th
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta, Struct
 from scipy.spatial.transform import Rotation, Slerp
 
 from ndf_mi.body.body import Body
 from ndf_mi.body.motion import Motion, frame_times, shaped_joints
 from ndf_mi.body.motion_smpl import COUNTERPARTS, smpl_names
 from ndf_mi.errors import InputError
-from ndf_mi.json_input import load_json, number, shown
+from ndf_mi.json_input import load_json, validated
 
-_KEYS = ("time", "joints", "root", "translation")
+Finite = Annotated[float, Meta(ge=-1.7e308, le=1.7e308)]
+Vector = tuple[Finite, Finite, Finite]
+_VECTOR: Any = Vector
+
+
+class Keyframe(Struct, forbid_unknown_fields=True):
+    """Joint rotations, root rotation and translation at a time; see the module."""
+
+    time: Annotated[float, Meta(ge=0, le=1.7e308)]
+    joints: dict[str, Any] = {}
+    root: Vector | None = None
+    translation: Vector | None = None
+
+
+class Keyframes(Struct):
+    """A file of keyframes."""
+
+    frames: Annotated[list[Keyframe], Meta(min_length=1)]
+    fps: Annotated[float, Meta(gt=0, le=1.7e308)] = 30.0
+
+
 Track = tuple[list[float], list[np.ndarray]]
 """Times in seconds, and three numbers at each."""
 
@@ -47,17 +67,16 @@ def play_json(
             not ascend, no keyframe, or something else than three finite numbers.
     """
     path = Path(path)
-    document = _load(path)
-    frames = document.get("frames")
-    if not isinstance(frames, list) or not frames:
-        raise InputError(f"{path}: frames", "no keyframe", "a list of at least one")
-    own = number(document.get("fps", 30), f"{path}: fps")
-    if own <= 0:
-        raise InputError(f"{path}: fps", f"{own:g}", "frames a second, above 0")
+    try:
+        document = validated(load_json(path), Keyframes, str(path))
+    except (FileNotFoundError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(path, f"a file that cannot be read as JSON ({error})", "keyframes in JSON") from None
     joints = shaped_joints(body, shape)
-    rotations, root, translation = _tracks(path, frames, _indices(body))
-    fps = own if fps is None else fps
-    times = frame_times(float(frames[-1]["time"]), fps)
+    rotations, root, translation = _tracks(path, document.frames, _indices(body))
+    fps = document.fps if fps is None else fps
+    times = frame_times(document.frames[-1].time, fps)
     pose = np.zeros((len(times), len(joints), 3))
     for j, track in rotations.items():
         pose[:, j] = _turns(track, times).as_rotvec()
@@ -66,17 +85,6 @@ def play_json(
     origin = joints[0] - turns.apply(joints[0]) + path_of_root
     rotation = turns.as_rotvec().astype(np.float32)
     return Motion(pose.astype(np.float32), rotation, origin.astype(np.float32)), fps
-
-
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        document = load_json(path)
-    except (FileNotFoundError, ValueError) as error:
-        raise InputError(path, f"a file that cannot be read as JSON ({error})", "keyframes in JSON") from None
-    if not isinstance(document, dict):
-        raise InputError(path, f"a {type(document).__name__}",
-                         'an object such as {"fps": 30, "frames": [...]}')
-    return document
 
 
 def _indices(body: Body) -> dict[str, int]:
@@ -88,43 +96,35 @@ def _indices(body: Body) -> dict[str, int]:
     return {name: j for name, j in names.items() if j > 0}
 
 
-def _tracks(path: Path, frames: list[Any], indices: dict[str, int]) -> tuple[dict[int, Track], Track, Track]:
+def _tracks(path: Path, frames: list[Keyframe], indices: dict[str, int]) -> tuple[dict[int, Track], Track,
+                                                                                  Track]:
     rotations: dict[int, Track] = {}
     root: Track = ([], [])
     translation: Track = ([], [])
-    before = -math.inf
+    before = -1.0
     for i, frame in enumerate(frames):
         where = f"{path}: frames[{i}]"
-        if not isinstance(frame, dict):
-            raise InputError(where, f"a {type(frame).__name__}", "an object with the key time")
-        for key in frame:
-            if key not in _KEYS:
-                raise InputError(f"{where}.{key}", "a key of that name", f"{', '.join(_KEYS)} only")
-        time = number(frame.get("time"), f"{where}.time")
-        if time < 0 or time <= before:
-            raise InputError(f"{where}.time", f"{time:g}", "seconds, 0 or more, in ascending order")
-        before = time
-        joints = frame.get("joints", {})
-        if not isinstance(joints, dict):
-            raise InputError(f"{where}.joints", f"a {type(joints).__name__}", "an object of joints")
-        for name, value in joints.items():
+        if frame.time <= before:
+            raise InputError(f"{where}.time", f"{frame.time:g}", "seconds in ascending order")
+        before = frame.time
+        for name, value in frame.joints.items():
             if name not in indices:
                 raise InputError(f"{where}.joints", f"the joint {name!r}",
                                  f"a joint of the body other than its root: {', '.join(indices)}")
-            _add(rotations.setdefault(indices[name], ([], [])), time, value, f"{where}.joints.{name}")
-        for key, track in (("root", root), ("translation", translation)):
-            if key in frame:
-                _add(track, time, frame[key], f"{where}.{key}")
+            track = rotations.setdefault(indices[name], ([], []))
+            if track[0] and track[0][-1] == frame.time:
+                raise InputError(f"{where}.joints.{name}", "the same joint under two names",
+                                 "each joint once in a keyframe")
+            _add(track, frame.time, validated(value, _VECTOR, f"{where}.joints.{name}"))
+        _add(root, frame.time, frame.root)
+        _add(translation, frame.time, frame.translation)
     return rotations, root, translation
 
 
-def _add(track: Track, time: float, value: Any, where: str) -> None:
-    if not isinstance(value, list) or len(value) != 3:
-        raise InputError(where, shown(value), "three numbers")
-    if track[0] and track[0][-1] == time:
-        raise InputError(where, "the same joint under two names", "each joint once in a keyframe")
-    track[0].append(time)
-    track[1].append(np.array([number(v, where) for v in value]))
+def _add(track: Track, time: float, vector: Vector | None) -> None:
+    if vector is not None:
+        track[0].append(time)
+        track[1].append(np.array(vector))
 
 
 def _turns(track: Track, times: np.ndarray) -> Rotation:

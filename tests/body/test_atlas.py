@@ -1,4 +1,6 @@
-"""One-piece atlases of surfaces of all kinds, held against shapely's unions and matplotlib's point location."""
+"""One-piece atlases of surfaces of all kinds, held against shapely's unions and matplotlib's point
+location.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,8 @@ def holed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 def pretzel() -> trimesh.Trimesh:
     """Two rings side by side, melted together: genus 2."""
-    x = np.stack(np.meshgrid(np.linspace(-2.2, 2.2, 34), np.linspace(-1.4, 1.4, 22), np.linspace(-0.6, 0.6, 10), indexing="ij"), -1)
+    x = np.stack(np.meshgrid(np.linspace(-2.2, 2.2, 34), np.linspace(-1.4, 1.4, 22),
+                             np.linspace(-0.6, 0.6, 10), indexing="ij"), -1)
     rings = [(np.hypot(x[..., 0] - c, x[..., 1]) - 0.8) ** 2 + x[..., 2] ** 2 - 0.1 for c in (-0.8, 0.8)]
     vertices, faces, _, _ = marching_cubes(np.minimum(*rings), 0.0013)
     return trimesh.Trimesh(vertices, faces, process=False)
@@ -66,7 +69,8 @@ def thumbed() -> trimesh.Trimesh:
 
 SHAPES: dict[str, tuple[Callable[[], trimesh.Trimesh], int]] = {
     "ball": (sphere, 1),
-    "tetrahedron": (lambda: trimesh.Trimesh(np.eye(4)[:, :3], [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]], process=False), 1),
+    "tetrahedron": (lambda: trimesh.Trimesh(np.eye(4)[:, :3], [[0, 1, 2], [0, 3, 1], [1, 3, 2], [0, 2, 3]],
+                                            process=False), 1),
     "box": (trimesh.creation.box, 1),
     "triangle": (lambda: trimesh.Trimesh(np.eye(3), [[0, 1, 2]], process=False), 1),
     "torus": (torus, 1),
@@ -75,13 +79,17 @@ SHAPES: dict[str, tuple[Callable[[], trimesh.Trimesh], int]] = {
     "pretzel": (pretzel, 1),
     "tube": (tube, 1),
     "limb": (thumbed, 1),
-    "ball and box": (lambda: trimesh.util.concatenate([sphere(), trimesh.creation.box().apply_translation([3, 0, 0])]), 2),
+    "ball and box": (lambda: trimesh.util.concatenate([sphere(),
+                                                       trimesh.creation.box().apply_translation([3, 0, 0])]),
+                                                       2),
     "touching": (touching, 2),
 }
 
 
 def pieces(mesh: trimesh.Trimesh, atlas: Atlas) -> list[shapely.Polygon]:
-    """The charts as shapely joins them; holds that the triangles lie counter-clockwise, in the square, and overlap nowhere."""
+    """The charts as shapely joins them; holds that the triangles lie counter-clockwise, in the square, and
+    overlap nowhere.
+    """
     assert atlas.uv.dtype == np.float32 and atlas.uv_faces.dtype == np.int32 and atlas.uv_faces.shape == mesh.faces.shape
     assert atlas.uv.min() >= 0 and atlas.uv.max() <= 1 and atlas.uv_faces.max() == len(atlas.uv) - 1
     triangles = shapely.polygons(atlas.uv[atlas.uv_faces].astype(np.float64))
@@ -109,7 +117,9 @@ def test_lies_flat(name: str) -> None:
 
 
 def test_tube_unrolls() -> None:
-    """Nothing but a rectangle is without distortion: the height 2 and the circumference of the polygon of 48 sides."""
+    """Nothing but a rectangle is without distortion: the height 2 and the circumference of the polygon of 48
+    sides.
+    """
     mesh = tube()
     atlas = one_piece(mesh.vertices, mesh.faces)
     report = check_atlas(mesh.vertices, mesh.faces, atlas)
@@ -135,7 +145,9 @@ def test_components_share_a_scale() -> None:
 
 @pytest.mark.parametrize("name", ["ball", "torus", "ball and box"])
 def test_there_and_back(name: str) -> None:
-    """Points of the surface go to the square by barycentric coordinates; a point location of the square brings them back."""
+    """Points of the surface go to the square by barycentric coordinates; a point location of the square
+    brings them back.
+    """
     mesh = SHAPES[name][0]()
     atlas = one_piece(mesh.vertices, mesh.faces)
     points, at = trimesh.sample.sample_surface(mesh, 2000, seed=3)
@@ -200,7 +212,8 @@ def test_default_body(anny: Body) -> None:
     stock = check_atlas(anny.template, anny.faces, Atlas(anny.uv, anny.uv_faces))
     assert stock.charts > 1 and report.energy < stock.energy and report.seam_length < stock.seam_length
 
-    # the face is whole: vertices on the seam have several texel coordinates, none of them at the front of the head
+    # the face is whole: vertices on the seam have several texel coordinates, none of them at the front of the
+    # head
     pairs = np.unique(np.stack([body.faces.ravel(), body.uv_faces.ravel()], axis=1), axis=0)
     seam = np.bincount(pairs[:, 0]) > 1
     head = anny.weights[:, anny.joint_names.index("Head")] > 0.9

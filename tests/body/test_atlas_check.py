@@ -1,4 +1,6 @@
-"""The measures of an atlas on charts worked out by hand, overlaps against shapely, hidden places against closed forms."""
+"""The measures of an atlas on charts worked out by hand, overlaps against shapely, hidden places against
+closed forms.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,8 @@ FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 def test_stretched_square() -> None:
     """Twice as wide as high: σ = (√2, 1/√2) once the areas agree, so the energy is (2 + 1/2 + 1/2 + 2)/4."""
-    report = check_atlas(SQUARE, FACES, Atlas(np.array([[0, 0], [0.5, 0], [0.5, 0.25], [0, 0.25]], np.float32), FACES))
+    report = check_atlas(SQUARE, FACES,
+                         Atlas(np.array([[0, 0], [0.5, 0], [0.5, 0.25], [0, 0.25]], np.float32), FACES))
     assert report.sound and report.components == report.charts == 1
     assert report.covered == 0.125 and report.seam_length == 0
     assert report.energy == pytest.approx(1.25)
@@ -25,7 +28,9 @@ def test_stretched_square() -> None:
 
 
 def test_cut_square() -> None:
-    """Cut along the diagonal; the second triangle at half the size: areas 4 : 1 in the plane, 1 : 1 on the surface."""
+    """Cut along the diagonal; the second triangle at half the size: areas 4 : 1 in the plane, 1 : 1 on the
+    surface.
+    """
     uv = np.array([[0, 0], [0.5, 0], [0.5, 0.5], [0.75, 0.75], [1, 1], [0.75, 1]], np.float32)
     report = check_atlas(SQUARE, FACES, Atlas(uv, np.array([[0, 1, 2], [3, 4, 5]])))
     assert (report.components, report.charts, report.flipped, report.overlaps) == (1, 2, 0, 0)
@@ -68,7 +73,9 @@ def test_overlaps_of_many_sizes() -> None:
     corners = np.round(corners * 2**24) / 2**24
     polygons = shapely.polygons(corners)
     expected = {
-        (i, j) for i in range(400) for j in range(i + 1, 400) if shapely.relate_pattern(polygons[i], polygons[j], "T********")
+        (i, j) for i in range(400) for j in range(i + 1, 400) if shapely.relate_pattern(polygons[i],
+                                                                                        polygons[j],
+                                                                                        "T********")
     }
     assert len(expected) > 500
     assert {tuple(pair) for pair in overlapping(corners).tolist()} == expected

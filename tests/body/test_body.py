@@ -1,4 +1,6 @@
-"""Body and Poses: what is written is read again; what is wrong is refused by file, key, found and expected."""
+"""Body and Poses: what is written is read again; what is wrong is refused by file, key, found and
+expected.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,9 @@ def poses_of(body: Body, **changed: object) -> dict:
     rng = np.random.default_rng(1)
     pose = rng.normal(size=(3, 4, 3))
     pose[:, 0] = 0
-    fields = dict(
-        frames=np.array([2, 3, 7]),
-        vertices=rng.normal(size=(3, 40, 3)),
-        pose=pose,
-        root_rotation=rng.normal(size=(3, 3)),
-        translation=rng.normal(size=(3, 3)),
-        shape=rng.normal(size=2),
-    )
+    fields = dict(frames=np.array([2, 3, 7]), vertices=rng.normal(size=(3, 40, 3)), pose=pose,
+                  root_rotation=rng.normal(size=(3, 3)), translation=rng.normal(size=(3, 3)),
+                  shape=rng.normal(size=2))
     return {**fields, **changed}
 
 

@@ -53,16 +53,15 @@ def test_arm(tmp_path: Path) -> None:
     np.testing.assert_allclose(clip.offsets, [[1, 2, 3], [4, 0, 0]])
     _, positions = clip.forward()
     np.testing.assert_allclose(positions[:, 1], [[4, 0, 0], [14, 0, 0], [0, 4, 0]], atol=1e-12)
-    # Last frame: the upper arm is turned by Rz(90)·Rx(90), the elbow by Rz(90) inside it: x → y → Rz(90)·z = z.
+    # Last frame: the upper arm is turned by Rz(90)·Rx(90), the elbow by Rz(90) inside it: x → y → Rz(90)·z =
+    # z.
     np.testing.assert_allclose(tips(clip), [[7, 0, 0], [14, 3, 0], [0, 4, 3]], atol=1e-12)
 
 
 def test_channel_order(tmp_path: Path) -> None:
     """The same turns under Xrotation Zrotation mean Rx·Rz; positions may stand last; case does not matter."""
-    text = ARM.replace(
-        "CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation",
-        "CHANNELS 5 xrotation ZROTATION Zposition Yposition Xposition",
-    )
+    text = ARM.replace("CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation",
+                       "CHANNELS 5 xrotation ZROTATION Zposition Yposition Xposition")
     text = text[: text.index("Frames")] + "Frames: 1\nFrame Time: 0.1\n90 90 7 6 5 0 0 0\n"
     clip = read_bvh(write(tmp_path, text))
     np.testing.assert_allclose(clip.positions[0, 0], [5, 6, 7])
@@ -105,7 +104,8 @@ def test_resampling(tmp_path: Path) -> None:
         ("OFFSET 4 0 0", "OFFSET 4 nan 0", 8, "nan; expected"),
         ("CHANNELS 3", "CHANNELS 4", 10, "'End'; expected 4 of Xposition"),
         ("CHANNELS 3", "CHANNELS many", 9, "'many'"),
-        ("Zrotation Yrotation Xrotation\n    End", "Zrotation Zrotation Xrotation\n    End", 9, "each channel once"),
+        ("Zrotation Yrotation Xrotation\n    End", "Zrotation Zrotation Xrotation\n    End", 9,
+         "each channel once"),
         ("Xposition Y", "Wposition Y", 5, "'Wposition'"),
         ("JOINT Fore", "JOINT Upper", 6, "second joint 'Upper'"),
         ("End Site", "Site", 10, "'Site'; expected"),
@@ -115,7 +115,8 @@ def test_resampling(tmp_path: Path) -> None:
         ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 90 0", 20, "8 numbers; expected 9"),
         ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 90 0 0 0", 20, "10 numbers; expected 9"),
         ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 nan 0 0", 20, "'nan' for Fore Zrotation in frame 2; expected"),
-        ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 ninety 0 0", 20, "'ninety' for Fore Zrotation in frame 2; expected"),
+        ("10 0 0 0 0 0 90 0 0", "10 0 0 0 0 0 ninety 0 0", 20,
+         "'ninety' for Fore Zrotation in frame 2; expected"),
     ],
 )
 def test_refuses(tmp_path: Path, old: str, new: str, line: int, message: str) -> None:
@@ -134,7 +135,8 @@ def chain(depth: int) -> str:
 def test_deep_nesting(tmp_path: Path) -> None:
     clip = read_bvh(write(tmp_path, chain(3000)))
     assert len(clip.joint_names) == 3000 and clip.parents.tolist() == list(range(-1, 2999))
-    with pytest.raises(InputError, match="end of the file; expected CHANNELS, JOINT, End Site or } of joint j2999"):
+    with pytest.raises(InputError,
+                       match="end of the file; expected CHANNELS, JOINT, End Site or } of joint j2999"):
         read_bvh(write(tmp_path, chain(3000).split("CHANNELS")[0]))
 
 

@@ -18,7 +18,9 @@ def test_normals_of_a_ball_point_away_from_its_centre(scale: float) -> None:
 
 
 def test_triangles_count_by_their_areas() -> None:
-    """A corner of a box with sides 1, 2 and 3: its three faces' areas are 6, 3 and 2, of which triangles take halves."""
+    """A corner of a box with sides 1, 2 and 3: its three faces' areas are 6, 3 and 2, of which triangles take
+    halves.
+    """
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], dtype=np.float64)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2]])
     expected = -np.array([6, 3, 2]) / np.linalg.norm([6, 3, 2])

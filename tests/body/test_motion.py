@@ -60,10 +60,8 @@ def test_path_is_scaled_by_the_legs(anny: Body) -> None:
     motion = retarget(anny, clip)
     _, source = clip.forward()
     ends = []
-    for joints in (
-        [posed_joints(anny, motion, row) for row in (0, len(clip) - 1)],
-        [dict(zip(clip.joint_names, source[row], strict=True)) for row in (0, len(clip) - 1)],
-    ):
+    for joints in ([posed_joints(anny, motion, row) for row in (0, len(clip) - 1)],
+                   [dict(zip(clip.joint_names, source[row], strict=True)) for row in (0, len(clip) - 1)]):
         first, last = joints
         knee = first["LeftLeg"]
         leg = np.linalg.norm(first["LeftUpLeg"] - knee) + np.linalg.norm(knee - first["LeftFoot"])
@@ -104,7 +102,8 @@ def test_arms_stay_out_of_the_trunk(anny: Body) -> None:
 def test_places(anny: Body) -> None:
     clip = load_clip("jump")
     world, centre, treadmill = (retarget(anny, clip, place=p) for p in ("world", "centre", "treadmill"))
-    np.testing.assert_allclose(np.ptp(centre.translation, axis=0), np.ptp(world.translation, axis=0), atol=1e-5)
+    np.testing.assert_allclose(np.ptp(centre.translation, axis=0), np.ptp(world.translation, axis=0),
+                               atol=1e-5)
     np.testing.assert_allclose(centre.translation[:, 1], world.translation[:, 1])
     for row in (0, 60, 119):
         joints = posed_joints(anny, treadmill, row)
@@ -129,7 +128,9 @@ def test_sequence(anny: Body) -> None:
 
 
 def test_a_rig_of_its_own(small: Body) -> None:
-    """A clip of the body's own skeleton in centimetres, whose joints are nobody's: it is played as it is, on the ground."""
+    """A clip of the body's own skeleton in centimetres, whose joints are nobody's: it is played as it is, on
+    the ground.
+    """
     rng = np.random.default_rng(1)
     body = dataclasses.replace(small, weights=np.eye(4)[np.arange(40) % 4], pose_dirs=None, joint_dirs=None)
     joints = body.joints.astype(np.float64)

@@ -1,4 +1,6 @@
-"""AMASS-like files: on a body with SMPL's joints against forward kinematics in numpy, on the default body against what a pose means."""
+"""AMASS-like files: on a body with SMPL's joints against forward kinematics in numpy, on the default body
+against what a pose means.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,10 @@ from ndf_mi.body.motion_amass import play_amass
 from ndf_mi.body.skinning import joint_transforms
 from ndf_mi.errors import InputError
 
-NAMES = ("pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle", "spine3",
-         "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder",
+NAMES = ("pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle",
+         "right_ankle", "spine3",
+         "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+         "right_shoulder",
          "left_elbow", "right_elbow", "left_wrist", "right_wrist", "left_hand", "right_hand")  # fmt: skip
 PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21)
 LIMBS = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase"), ("Arm", "ForeArm"), ("ForeArm", "Hand"))
@@ -24,13 +28,17 @@ LIMBS = (("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase"), ("Arm", "ForeAr
 
 @pytest.fixture
 def smpl() -> Body:
-    """SMPL's joints in random places, a mesh that means nothing, and one shape coefficient that scales the skeleton by 1 + β."""
+    """SMPL's joints in random places, a mesh that means nothing, and one shape coefficient that scales the
+    skeleton by 1 + β.
+    """
     rng = np.random.default_rng(3)
     joints = rng.normal(size=(24, 3))
     return Body(
-        faces=np.array([[0, 1, 2]]), uv=rng.random((3, 2)), uv_faces=np.array([[0, 1, 2]]), template=rng.normal(size=(24, 3)),
+        faces=np.array([[0, 1, 2]]), uv=rng.random((3, 2)), uv_faces=np.array([[0, 1, 2]]),
+        template=rng.normal(size=(24, 3)),
         joints=joints, joint_names=NAMES,
-        parents=np.array(PARENTS), weights=np.eye(24), shape_dirs=np.zeros((24, 3, 1)), joint_dirs=joints[..., None],
+        parents=np.array(PARENTS), weights=np.eye(24), shape_dirs=np.zeros((24, 3, 1)),
+        joint_dirs=joints[..., None],
     )  # fmt: skip
 
 
@@ -39,7 +47,8 @@ def write(path: Path, **changes: object) -> Path:
     t = np.arange(181) / 60
     rng = np.random.default_rng(5)
     poses = np.sin(t[:, None] + rng.normal(size=156)) * rng.normal(size=156)
-    entries = {"poses": poses, "trans": np.stack([t, t * t, np.sin(t)], 1), "mocap_framerate": np.array(60.0), "gender": np.array("male")}
+    entries = {"poses": poses, "trans": np.stack([t, t * t, np.sin(t)], 1), "mocap_framerate": np.array(60.0),
+               "gender": np.array("male")}
     np.savez(path, **{k: v for k, v in (entries | changes).items() if v is not None})
     return path
 
@@ -56,7 +65,8 @@ def kinematics(poses: np.ndarray, trans: np.ndarray, joints: np.ndarray) -> np.n
 
 
 def posed_joints(body: Body, motion: Motion, row: int, shape: np.ndarray | None = None) -> np.ndarray:
-    transforms = joint_transforms(body, motion.pose[row], motion.root_rotation[row], motion.translation[row], shape)
+    transforms = joint_transforms(body, motion.pose[row], motion.root_rotation[row], motion.translation[row],
+                                  shape)
     matrices = np.array(transforms.matrices, dtype=np.float64).reshape(-1, 3, 4)
     joints = body.joints if shape is None else body.joints + body.joint_dirs @ shape
     return np.einsum("jab,jb->ja", matrices[:, :, :3], joints) + matrices[:, :, 3]
@@ -77,14 +87,18 @@ def test_joints_are_where_kinematics_puts_them(smpl: Body, tmp_path: Path, named
 def test_rotations_between_frames_take_the_shorter_way(smpl: Body, tmp_path: Path) -> None:
     poses = np.zeros((2, 66))
     poses[1, 12:15] = np.radians([0, 80, 0])
-    path = write(tmp_path / "a.npz", poses=poses, trans=np.array([[0, 0, 0], [0, 0, 1]]), mocap_framerate=np.array(1))
+    path = write(tmp_path / "a.npz", poses=poses, trans=np.array([[0, 0, 0], [0, 0, 1]]),
+                 mocap_framerate=np.array(1))
     motion = play_amass(smpl, path, 4.0, up="y")
-    np.testing.assert_allclose(np.degrees(motion.pose[:, 4]), np.outer(np.arange(5) * 20, [0, 1, 0]), atol=1e-4)
+    np.testing.assert_allclose(np.degrees(motion.pose[:, 4]), np.outer(np.arange(5) * 20, [0, 1, 0]),
+                               atol=1e-4)
     np.testing.assert_allclose(motion.translation, np.outer(np.arange(5) / 4, [0, 0, 1]), atol=1e-6)
 
 
 def test_the_path_follows_the_legs(smpl: Body, tmp_path: Path) -> None:
-    """The file's performer is 1.25 times the template, the body 0.5 times: the root goes 0.4 times as far, from 0.4 times as high."""
+    """The file's performer is 1.25 times the template, the body 0.5 times: the root goes 0.4 times as far,
+    from 0.4 times as high.
+    """
     path = write(tmp_path / "a.npz", betas=np.array([0.25, 3.0]))
     found = np.load(path)
     shape = np.array([-0.5])
@@ -97,7 +111,9 @@ def test_the_path_follows_the_legs(smpl: Body, tmp_path: Path) -> None:
 def anny_bones(
     anny: Body, tmp_path: Path, joint: str = "spine1", turn: tuple[float, float, float] = (0, 0, 0)
 ) -> dict[str, np.ndarray]:
-    """Unit vectors along the default body's limbs, both sides, at one pose of SMPL's: one joint turned, degrees, y up."""
+    """Unit vectors along the default body's limbs, both sides, at one pose of SMPL's: one joint turned,
+    degrees, y up.
+    """
     poses = np.zeros((1, 72))
     poses[0, 3 * NAMES.index(joint) :][:3] = np.radians(turn)
     motion = play_amass(anny, write(tmp_path / "a.npz", poses=poses, trans=np.zeros((1, 3))), 30.0, up="y")
@@ -129,7 +145,8 @@ def test_no_rotation_is_a_t_pose_of_the_default_body(anny: Body, tmp_path: Path)
     ],
 )
 def test_single_joints_of_the_default_body(
-    anny: Body, tmp_path: Path, joint: str, turn: tuple[float, float, float], bone: str, towards: tuple[float, float, float]
+    anny: Body, tmp_path: Path, joint: str, turn: tuple[float, float, float], bone: str,
+    towards: tuple[float, float, float]
 ) -> None:
     still, bones = anny_bones(anny, tmp_path), anny_bones(anny, tmp_path, joint, turn)
     assert bones[bone] @ towards > 0.98
@@ -142,9 +159,12 @@ def test_z_up_stands_on_the_ground(anny: Body, tmp_path: Path) -> None:
     poses = np.zeros((31, 156))
     poses[:, 0] = np.pi / 2
     walk = np.outer(np.arange(31) / 30, [0, -1, 0]) + [0, 0, 1]
-    motion = play_amass(anny, write(tmp_path / "a.npz", poses=poses, trans=walk, mocap_framerate=np.array(30)), 10.0)
+    motion = play_amass(anny,
+                        write(tmp_path / "a.npz", poses=poses, trans=walk, mocap_framerate=np.array(30)),
+                        10.0)
     assert len(motion.pose) == 11
-    first, last = (dict(zip(anny.joint_names, posed_joints(anny, motion, row), strict=True)) for row in (0, 10))
+    first, last = (dict(zip(anny.joint_names, posed_joints(anny, motion, row), strict=True)) for row in (0,
+                                                                                                         10))
     assert 1.4 < first["Head"][1] < 1.7 and abs(first["LeftToeBase"][1] - 0.025) < 0.02
     step = last["Hips"] - first["Hips"]
     assert step[2] > 0.8 and np.abs(step[:2]).max() < 1e-5
@@ -164,7 +184,8 @@ def with_nan() -> np.ndarray:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"poses": np.zeros((181, 100))}, r"poses: found .* \(181, 100\); expected numbers of shape \(T, one of 66, 72, 156, 165\)"),
+        ({"poses": np.zeros((181, 100))},
+         r"poses: found .* \(181, 100\); expected numbers of shape \(T, one of 66, 72, 156, 165\)"),
         ({"poses": np.zeros((0, 72)), "trans": np.zeros((0, 3))}, "poses: found no frame"),
         ({"poses": with_nan()}, "poses: found nan at frame 7, joint left_knee"),
         ({"trans": np.zeros((180, 3))}, r"trans: .*\(180, 3\); expected numbers of shape \(181, 3\)"),

@@ -19,12 +19,16 @@ from ndf_mi.errors import InputError
 
 @pytest.fixture
 def poses(small: Body) -> Poses:
-    """Five poses of `small` whose vertices are off from the skinned ones by a centimetre, as a fit's may be."""
+    """Five poses of `small` whose vertices are off from the skinned ones by a centimetre, as a fit's may
+    be.
+    """
     rng = np.random.default_rng(4)
     pose, root, translation = rng.normal(size=(5, 4, 3)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3)) * 3
     pose[:, 0] = 0
     shape = np.array([0.5, -1], np.float32)
-    vertices = np.stack([skin(small, *row, shape).numpy().reshape(-1, 3) + 0.01 for row in zip(pose, root, translation, strict=True)])
+    vertices = np.stack([skin(small, *row, shape).numpy().reshape(-1, 3) + 0.01 for row in zip(pose, root,
+                                                                                               translation,
+                                                                                               strict=True)])
     return Poses(np.array([3, 4, 6, 7, 9]), vertices, pose, root, translation, shape)
 
 
@@ -56,7 +60,8 @@ def test_a_shape_moves_vertices_by_its_directions(small: Body, poses: Poses, tmp
         for shape in ([0, 0], [0.5, -2])
     )
     np.testing.assert_allclose(rest, small.template, atol=1e-5)
-    np.testing.assert_allclose(changed - rest, 0.5 * small.shape_dirs[..., 0] - 2 * small.shape_dirs[..., 1], atol=1e-5)
+    np.testing.assert_allclose(changed - rest, 0.5 * small.shape_dirs[..., 0] - 2 * small.shape_dirs[..., 1],
+                               atol=1e-5)
 
 
 def test_places(small: Body, poses: Poses, tmp_path: Path) -> None:
@@ -66,11 +71,13 @@ def test_places(small: Body, poses: Poses, tmp_path: Path) -> None:
         performance = read_performance(tmp_path / "poses.npz", small, poses, place=place)
         moved = performance.vertices(1) - poses.vertices[1]
         np.testing.assert_allclose(moved, np.broadcast_to(moved[0], moved.shape), atol=1e-5)
-        np.testing.assert_allclose(moved[0], performance.motion.translation[1] - poses.translation[1], atol=1e-5)
+        np.testing.assert_allclose(moved[0], performance.motion.translation[1] - poses.translation[1],
+                                   atol=1e-5)
         assert abs(moved[0, 1]) < 1e-6
         # A body that is nothing but its pelvis: turned about the origin, then moved.
         joint = (small.joints[0] + small.joint_dirs[0] @ poses.shape).astype(np.float32)
-        pelvis = Body(small.faces * 0, small.uv, small.uv_faces, joint[None], joint[None], ("pelvis",), np.array([-1]), np.ones((1, 1)))
+        pelvis = Body(small.faces * 0, small.uv, small.uv_faces, joint[None], joint[None], ("pelvis",),
+                      np.array([-1]), np.ones((1, 1)))
         rows = zip(performance.motion.root_rotation, performance.motion.translation, strict=True)
         roots[place] = np.array([skin(pelvis, np.zeros(3), *row).numpy() for row in rows])
     np.testing.assert_allclose(roots["treadmill"][:, [0, 2]], 0, atol=1e-5)
@@ -79,7 +86,8 @@ def test_places(small: Body, poses: Poses, tmp_path: Path) -> None:
 
 
 def test_clips_by_name_at_any_rate(anny: Body) -> None:
-    poses = Poses(np.array([0]), anny.template[None], np.zeros((1, 31, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
+    poses = Poses(np.array([0]), anny.template[None], np.zeros((1, 31, 3)), np.zeros((1, 3)),
+                  np.zeros((1, 3)))
     clip = load_clip("walk")
     performance = read_performance("walk", anny, poses, fps=15)
     assert performance.fps == 15 and len(performance) == int(clip.duration * 15 + 1e-3) + 1
@@ -101,9 +109,11 @@ def smpl_like(anny: Body) -> tuple[Body, Poses]:
             parent = anny.parents[parent]
         ancestors.append(keep.index(parent) if parent >= 0 else -1)
     weights = anny.weights[:, keep] + 1e-6
-    body = dataclasses.replace(anny, joints=anny.joints[keep], joint_names=names, parents=np.array(ancestors, np.int32),
+    body = dataclasses.replace(anny, joints=anny.joints[keep], joint_names=names,
+                               parents=np.array(ancestors, np.int32),
                                weights=weights / weights.sum(1, keepdims=True), joint_dirs=None)  # fmt: skip
-    return body, Poses(np.array([0]), anny.template[None], np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
+    return body, Poses(np.array([0]), anny.template[None], np.zeros((1, 24, 3)), np.zeros((1, 3)),
+                       np.zeros((1, 3)))
 
 
 def test_a_clip_on_smpls_joints(anny: Body) -> None:
@@ -119,13 +129,16 @@ def test_a_clip_on_smpls_joints(anny: Body) -> None:
 
 @pytest.mark.parametrize("own", ["SMPL's", "numbers"])
 def test_a_bvh_with_the_bodys_own_names(anny: Body, tmp_path: Path, own: str) -> None:
-    """The same clip with its joints called as the body's, SMPL's or other ones in the same tree: it is played just the same."""
+    """The same clip with its joints called as the body's, SMPL's or other ones in the same tree: it is played
+    just the same.
+    """
     body, poses = smpl_like(anny)
     want = read_performance("jump", body, poses).motion
     called = {INNER[name]: name if own == "SMPL's" else f"joint{j:02d}" for j, name in enumerate(body.joint_names)}
     body = dataclasses.replace(body, joint_names=tuple(called[INNER[name]] for name in body.joint_names))
     text = (Path(bvh.__file__).parent / "data" / "jump.bvh").read_text()
-    renamed = re.sub(r"(ROOT|JOINT) (\w+)", lambda found: f"{found[1]} {called.get(found[2], found[2])}", text)
+    renamed = re.sub(r"(ROOT|JOINT) (\w+)", lambda found: f"{found[1]} {called.get(found[2], found[2])}",
+                     text)
     (tmp_path / "jump.bvh").write_text(renamed)
     have = read_performance(tmp_path / "jump.bvh", body, poses).motion
     for name in ("pose", "root_rotation", "translation"):
@@ -145,15 +158,18 @@ def test_refuses(small: Body, poses: Poses, tmp_path: Path) -> None:
     pose = poses.pose.copy()
     pose[3, 2, 1] = np.nan
     refused("pose: found nan at frame 7, joint arm", pose=pose)
-    refused(r"pose: .*\(5, 3, 3\); expected \(T, 4, 3\), the run's joints: pelvis, chest, arm, leg", pose=pose[:, :3])
-    refused("frames: found no frame|at least one", **{k: v[:0] for k, v in spoilt(poses).items() if k != "shape"})
+    refused(r"pose: .*\(5, 3, 3\); expected \(T, 4, 3\), the run's joints: pelvis, chest, arm, leg",
+            pose=pose[:, :3])
+    refused("frames: found no frame|at least one",
+            **{k: v[:0] for k, v in spoilt(poses).items() if k != "shape"})
     dataclasses.replace(small, joint_names=("pelvis", "chest", "wing", "leg")).write(tmp_path / "body.npz")
     refused(r"pose: found no arm \(but wing\).*; expected the joints of the run's body")
     (tmp_path / "body.npz").unlink()
     bare = Body(small.faces, small.uv, small.uv_faces)
     with pytest.raises(InputError, match="which has no model"):
         poses.write(tmp_path / "poses.npz")
-        read_performance(tmp_path / "poses.npz", bare, dataclasses.replace(poses, vertices=poses.vertices[:, :39]))
+        read_performance(tmp_path / "poses.npz", bare,
+                         dataclasses.replace(poses, vertices=poses.vertices[:, :39]))
     with pytest.raises(InputError, match="no skinning model"):
         read_performance("walk", bare, poses)
     with pytest.raises(InputError, match="AMASS-like file"):
@@ -164,7 +180,9 @@ def test_refuses_what_is_no_motion(small: Body, poses: Poses, tmp_path: Path) ->
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     (tmp_path / "motion.txt").write_text("")
     (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04")
-    for name, message in (("other.npz", "neither poses nor pose"), ("motion.txt", "the ending '.txt'"), ("none.json", "no such file"),
-                          ("swim", "one of the clips climb, jump, walk"), ("broken.npz", "damaged")):  # fmt: skip
+    for name, message in (("other.npz", "neither poses nor pose"), ("motion.txt", "the ending '.txt'"),
+                          ("none.json", "no such file"),
+                          ("swim", "one of the clips climb, jump, walk"),
+                          ("broken.npz", "damaged")):  # fmt: skip
         with pytest.raises(InputError, match=message):
             read_performance(tmp_path / name if "." in name else name, small, poses)

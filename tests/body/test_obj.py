@@ -44,7 +44,8 @@ def test_groups_and_the_shorter_diagonal(tmp_path: Path) -> None:
     lambda text: "".join(f"{line} # said aloud\n" for line in text.splitlines()),
     lambda text: text.replace("1/1 2/2 3/3\n", "-4/-4 -3/-3 -2/-2\n"),
     lambda text: "# a comment\n\no object\ns off\nvn 0 0 1\n" + text,
-], ids=["tabs", "leading spaces", "comments at ends of lines", "negative indices", "other lines"])  # fmt: skip
+],
+ids=["tabs", "leading spaces", "comments at ends of lines", "negative indices", "other lines"])  # fmt: skip
 def test_other_ways_to_write_the_same(tmp_path: Path, change) -> None:
     plain, found = read(tmp_path, PLAIN), read(tmp_path, change(PLAIN))
     np.testing.assert_array_equal(found[0], plain[0])

@@ -1,4 +1,6 @@
-"""Skinning in Dr.Jit against a dense float64 numpy evaluation, its gradients against central differences of that."""
+"""Skinning in Dr.Jit against a dense float64 numpy evaluation, its gradients against central differences of
+that.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,9 @@ def test_rest_pose(anny: Body) -> None:
 
 
 def test_root_turns_about_the_origin(anny: Body) -> None:
-    """A quarter turn about z takes (x, y, z) to (-y, x, z), wherever the root joint is; the translation comes after."""
+    """A quarter turn about z takes (x, y, z) to (-y, x, z), wherever the root joint is; the translation comes
+    after.
+    """
     posed = vertices(skin(anny, np.zeros((31, 3)), [0, 0, np.pi / 2], [1, 2, 3]))
     x, y, z = anny.template.T
     np.testing.assert_allclose(posed, np.stack([1 - y, 2 + x, 3 + z], 1), atol=1e-6)
@@ -79,7 +83,8 @@ def test_rigid_chain() -> None:
     """An arm of two bones along x: the elbow at 90° about z lifts the hand."""
     body = Body(
         faces=[[0, 1, 2]], uv=[[0, 0], [1, 0], [0, 1]], uv_faces=[[0, 1, 2]],
-        template=[[0.5, 0, 0], [1, 0, 0], [2, 0, 0]], joints=[[0, 0, 0], [1, 0, 0]], joint_names=("upper", "fore"),
+        template=[[0.5, 0, 0], [1, 0, 0], [2, 0, 0]], joints=[[0, 0, 0], [1, 0, 0]],
+        joint_names=("upper", "fore"),
         parents=[-1, 0], weights=[[1, 0], [0.5, 0.5], [0, 1]],
     )  # fmt: skip
     posed = vertices(skin(body, [[0, 0, 0], [0, 0, np.pi / 2]], [0, 0, 0], [0, 0, 0]))
@@ -160,7 +165,8 @@ def test_no_kernel_for_a_new_pose(anny: Body) -> None:
 
 def test_refuses(small: Body) -> None:
     good = random_pose(small, 0)
-    for which, (name, expected) in enumerate((("pose", 12), ("root_rotation", 3), ("translation", 3), ("shape", 2))):
+    for which, (name, expected) in enumerate((("pose", 12), ("root_rotation", 3), ("translation", 3),
+                                              ("shape", 2))):
         bad = list(good)
         bad[which] = np.zeros(5)
         with pytest.raises(InputError, match=f"{name}: found 5 values; expected {expected}"):

@@ -1,4 +1,6 @@
-"""SMPL's files, written here with a small model of random numbers, against the published equations in plain numpy."""
+"""SMPL's files, written here with a small model of random numbers, against the published equations in plain
+numpy.
+"""
 
 from __future__ import annotations
 
@@ -27,17 +29,13 @@ def model(shapes: int = 10) -> dict[str, Any]:
     weights = rng.random((count, joints)) ** 8
     regressor = np.where(rng.random((joints, count)) < 0.2, rng.random((joints, count)), 0) + 1e-3
     table = np.array([TREE, range(joints)], dtype=np.int64)
-    return {
-        "v_template": rng.normal(size=(count, 3)),
-        "f": rng.permuted(np.tile(np.arange(count, dtype=np.uint32), (40, 1)), axis=1)[:, :3],
-        "weights": weights / weights.sum(1, keepdims=True),
-        "J_regressor": sparse.csc_matrix(regressor / regressor.sum(1, keepdims=True)),
-        "kintree_table": table.astype(np.uint32),
-        "shapedirs": rng.normal(size=(count, 3, shapes)) * 0.1,
-        "posedirs": rng.normal(size=(count, 3, 207)) * 0.05,
-        "bs_style": "lbs",
-        "pose_training_info": {"gender": "neutral"},
-    }
+    return {"v_template": rng.normal(size=(count, 3)),
+            "f": rng.permuted(np.tile(np.arange(count, dtype=np.uint32), (40, 1)), axis=1)[:, :3],
+            "weights": weights / weights.sum(1, keepdims=True),
+            "J_regressor": sparse.csc_matrix(regressor / regressor.sum(1, keepdims=True)),
+            "kintree_table": table.astype(np.uint32), "shapedirs": rng.normal(size=(count, 3, shapes)) * 0.1,
+            "posedirs": rng.normal(size=(count, 3, 207)) * 0.05, "bs_style": "lbs",
+            "pose_training_info": {"gender": "neutral"}}
 
 
 def uv_file(path: Path, faces: np.ndarray) -> Path:
@@ -56,7 +54,9 @@ def write(path: Path, held: dict[str, Any], protocol: int = 2) -> Path:
 
 
 def published(held: dict[str, Any], theta: np.ndarray, beta: np.ndarray, pose_blend_shapes: bool = True) -> np.ndarray:
-    """Loper et al. 2015, equations 2 to 4 and 6 to 10, a vertex and a joint at a time; the first joint does not turn."""
+    """Loper et al. 2015, equations 2 to 4 and 6 to 10, a vertex and a joint at a time; the first joint does
+    not turn.
+    """
 
     def exponential(w: np.ndarray) -> np.ndarray:
         """Rodrigues' formula (equation 1), by the series of the matrix exponential."""
@@ -105,7 +105,8 @@ def test_skinning_is_the_published_equation(tmp_path: Path, suffix: str, pose_bl
     theta, beta = rng.normal(size=(24, 3)) * 0.5, rng.normal(size=10)
     theta[0] = 0
     expected = published(held, theta, beta, pose_blend_shapes)
-    np.testing.assert_allclose(vertices(skin(body, theta, np.zeros(3), np.zeros(3), beta)), expected, atol=2e-5)
+    np.testing.assert_allclose(vertices(skin(body, theta, np.zeros(3), np.zeros(3), beta)), expected,
+                               atol=2e-5)
     # The root: a third of a turn about (1, 1, 1) takes x to y, y to z and z to x, about the origin.
     turned = skin(body, theta, np.full(3, 2 * np.pi / 3 / np.sqrt(3)), [1, 2, 3], beta)
     np.testing.assert_allclose(vertices(turned), expected[:, [2, 0, 1]] + [1, 2, 3], atol=2e-5)
@@ -164,13 +165,17 @@ def test_without_a_uv_file_the_body_gets_one_chart(tmp_path: Path) -> None:
 
 SPOILT: dict[str, tuple[dict[str, Any], str]] = {
     "no weights": ({"weights": None}, "weights: found only v_template"),
-    "another number of vertices": ({"weights": np.full((50, 24), 1 / 24)}, r"weights: found shape \(50, 24\); expected shape \(60, any\)"),
-    "another number of joints": ({"J_regressor": np.full((52, 60), 1 / 60)}, r"J_regressor: found shape \(52, 60\)"),
+    "another number of vertices": ({"weights": np.full((50, 24), 1 / 24)},
+                                   r"weights: found shape \(50, 24\); expected shape \(60, any\)"),
+    "another number of joints": ({"J_regressor": np.full((52, 60), 1 / 60)},
+                                 r"J_regressor: found shape \(52, 60\)"),
     "a short tree": ({"kintree_table": np.zeros((2, 23), np.uint32)}, r"kintree_table: found shape \(2, 23\)"),
     "a tree of strangers": ({"kintree_table": np.full((2, 24), 5)}, "kintree_table: found a parent"),
     "faces of another mesh": ({"f": np.array([[0, 1, 6889]])}, "f: found values from 0 to 6889"),
-    "pose directions of another model": ({"posedirs": np.zeros((60, 3, 459))}, r"posedirs: found shape \(60, 3, 459\)"),
-    "ragged vertices": ({"v_template": [[0.0, 1.0, 2.0]] * 59 + [[0.0]]}, "v_template: found rows of unequal length"),
+    "pose directions of another model": ({"posedirs": np.zeros((60, 3, 459))},
+                                         r"posedirs: found shape \(60, 3, 459\)"),
+    "ragged vertices": ({"v_template": [[0.0, 1.0, 2.0]] * 59 + [[0.0]]},
+                        "v_template: found rows of unequal length"),
     "ragged faces": ({"f": [[0, 1, 2], [0, 1]]}, "f: found rows of unequal length"),
     "a ragged tree": ({"kintree_table": [[0] * 24, [1] * 23]}, "kintree_table: found rows of unequal length"),
     "NaN": ({"v_template": np.full((60, 3), np.nan)}, "v_template: found 180 values not finite"),
@@ -198,9 +203,11 @@ def test_refuses_other_files(tmp_path: Path) -> None:
     (tmp_path / "list.pkl").write_bytes(pickle.dumps([1]))
     with pytest.raises(InputError, match="list.pkl: found a pickled list"):
         load_smpl(tmp_path / "list.pkl")
-    with pytest.raises(InputError, match="uv.npz: found 39 triangles; expected .* 60 vertices and 40 triangles"):
+    with pytest.raises(InputError,
+                       match="uv.npz: found 39 triangles; expected .* 60 vertices and 40 triangles"):
         load_smpl(path, uv_file(tmp_path / "uv.npz", held["f"][1:]))
-    np.savez(tmp_path / "other.npz", uv=np.zeros((1, 2)), uv_faces=np.zeros((40, 3), int), faces=held["f"][:, ::-1].astype(int))
+    np.savez(tmp_path / "other.npz", uv=np.zeros((1, 2)), uv_faces=np.zeros((40, 3), int),
+             faces=held["f"][:, ::-1].astype(int))
     with pytest.raises(InputError, match="other.npz: found other triangles"):
         load_smpl(path, tmp_path / "other.npz")
     (tmp_path / "no.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")

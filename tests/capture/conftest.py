@@ -1,4 +1,6 @@
-"""A small capture made by hand: a box of a body before three cameras, silhouettes filled by testing every pixel."""
+"""A small capture made by hand: a box of a body before three cameras, silhouettes filled by testing every
+pixel.
+"""
 
 from __future__ import annotations
 
@@ -24,16 +26,11 @@ def box_document() -> Document:
     side = np.array([[0, 0, 1, 4], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1.0]])
     front = np.eye(4)
     front[2, 3] = 4
-    cameras = {
-        "a": Camera("a", 40, 32, 40.0, 40.0, 20.0, 16.0, front),
-        "b": Camera("b", 32, 48, 45.0, 45.0, 15.0, 25.0, side),
-        "c": Camera("c", 40, 32, 40.0, 41.0, 20.0, 16.0, front, (-0.2, 0.05, 0.0, 0.001, 0.002)),
-    }
-    splits = {
-        "train": Split(("a", "b"), (0, 1)),
-        "novel_view": Split(("c",), (1,)),
-        "novel_pose": Split(("a",), (5,)),
-    }
+    cameras = {"a": Camera("a", 40, 32, 40.0, 40.0, 20.0, 16.0, front),
+               "b": Camera("b", 32, 48, 45.0, 45.0, 15.0, 25.0, side),
+               "c": Camera("c", 40, 32, 40.0, 41.0, 20.0, 16.0, front, (-0.2, 0.05, 0.0, 0.001, 0.002))}
+    splits = {"train": Split(("a", "b"), (0, 1)), "novel_view": Split(("c",), (1,)),
+              "novel_pose": Split(("a",), (5,))}
     return Document("box", BACKGROUND, cameras, splits)
 
 
@@ -44,9 +41,8 @@ def box_body() -> tuple[Body, Poses]:
     uv = np.random.default_rng(0).uniform(size=(len(vertices), 2)).astype(np.float32)
     shifts = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], dtype=np.float32)
     still = np.zeros((len(FRAMES), 3), dtype=np.float32)
-    poses = Poses(
-        np.array(FRAMES, dtype=np.int32), vertices + shifts[:, None], still[:, None].copy(), still.copy(), shifts.copy()
-    )
+    poses = Poses(np.array(FRAMES, dtype=np.int32), vertices + shifts[:, None], still[:, None].copy(),
+                  still.copy(), shifts.copy())
     return Body(faces, uv, faces.copy()), poses
 
 

@@ -1,4 +1,6 @@
-"""The camera's three faces (project, rays, sensor) against each other, Mitsuba's render and OpenCV's formula."""
+"""The camera's three faces (project, rays, sensor) against each other, Mitsuba's render and OpenCV's
+formula.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from ndf_mi.mitsuba_mesh import make_mesh
 
 
 def turned_camera(**changes: object) -> Camera:
-    """A camera off axis in every respect: turned, shifted, principal point away from the middle, not square."""
+    """A camera off axis in every respect: turned, shifted, principal point away from the middle, not
+    square.
+    """
     transform = np.eye(4)
     transform[:3, :3] = Rotation.from_euler("yxz", [35, -12, 8], degrees=True).as_matrix()
     transform[:3, 3] = [1.9, 0.7, 2.6]
@@ -29,7 +33,8 @@ def points_in_view(camera: Camera, count: int = 200) -> np.ndarray:
     random = np.random.default_rng(0)
     pixels = random.uniform([0, 0], [camera.w, camera.h], (count, 2))
     depth = random.uniform(2, 5, (count, 1))
-    local = np.concatenate([(pixels - [camera.cx, camera.cy]) / [camera.fl_x, -camera.fl_y], -np.ones((count, 1))], 1)
+    local = np.concatenate([(pixels - [camera.cx, camera.cy]) / [camera.fl_x, -camera.fl_y],
+                            -np.ones((count, 1))], 1)
     return (local * depth) @ camera.transform[:3, :3].T + camera.transform[:3, 3]
 
 
@@ -64,16 +69,16 @@ def test_the_sensor_puts_pixels_where_project_says(crop: tuple[int, int, int, in
     """Renders a tilted triangle and compares its silhouette with the projected corners', scanned by hand."""
     camera = turned_camera()
     corners = points_in_view(camera, 3)
-    scene: dict = {"type": "scene", "integrator": {"type": "direct"}, "sensor": camera.sensor(spp=64, crop=crop)}
+    scene: dict = {"type": "scene", "integrator": {"type": "direct"},
+                   "sensor": camera.sensor(spp=64, crop=crop)}
     scene["mesh"] = make_mesh("triangle", corners, np.array([[0, 1, 2]]))
     covered = np.array(mi.render(mi.load_dict(scene)))[..., 3]
 
     sub = (np.arange(8) + 0.5) / 8
-    x, y = np.meshgrid((np.arange(camera.w)[:, None] + sub).ravel(), (np.arange(camera.h)[:, None] + sub).ravel())
+    x, y = np.meshgrid((np.arange(camera.w)[:, None] + sub).ravel(),
+                       (np.arange(camera.h)[:, None] + sub).ravel())
     a, b, c = camera.project(corners)
-    sides = [
-        (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) > 0 for p, q in ((a, b), (b, c), (c, a))
-    ]
+    sides = [(q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) > 0 for p, q in ((a, b), (b, c), (c, a))]
     inside = (sides[0] & sides[1] & sides[2]) | ~(sides[0] | sides[1] | sides[2])
     expected = inside.reshape(camera.h, 8, camera.w, 8).mean(axis=(1, 3))
     if crop is not None:
@@ -96,7 +101,8 @@ def test_sensor_refuses_what_perspective_cannot_express() -> None:
 def test_scaled_keeps_the_view() -> None:
     camera = turned_camera()
     points = points_in_view(camera)
-    np.testing.assert_allclose(camera.scaled(48, 144).project(points), camera.project(points) * [0.5, 2], atol=1e-9)
+    np.testing.assert_allclose(camera.scaled(48, 144).project(points), camera.project(points) * [0.5, 2],
+                               atol=1e-9)
 
 
 def test_one_kernel_serves_every_camera() -> None:

@@ -1,4 +1,6 @@
-"""The reader gives back what was written, and each kind of bad input is named by file, key, found and expected."""
+"""The reader gives back what was written, and each kind of bad input is named by file, key, found and
+expected.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +79,8 @@ def test_the_digest_follows_the_contents(box_capture: Path) -> None:
     assert after != before and len(after) == 64
 
 
-IMPORTED = {"layout": "zju", "subject": "377", "cameras": ["a", "b", "c", "d"], "frames": 5, "test_frames": 30, "scale": 0.5}
+IMPORTED = {"layout": "zju", "subject": "377", "cameras": ["a", "b", "c", "d"], "frames": 5,
+            "test_frames": 30, "scale": 0.5}
 
 BAD_DOCUMENTS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "newer version": (lambda v: v.update(version=2), "version: found 2; expected 1"),
@@ -89,7 +92,8 @@ BAD_DOCUMENTS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "pattern that climbs out": (lambda v: v.update(mask_pattern="../{camera}/{frame}.png"), "mask_pattern"),
     "no cameras": (lambda v: v.update(cameras=[]), "cameras"),
     "camera twice": (lambda v: v["cameras"].append(v["cameras"][0]), r"cameras\[3\].name"),
-    "camera without a focal length": (lambda v: v["cameras"][1].pop("fl_x"), r"cameras\[1\].fl_x: found nothing"),
+    "camera without a focal length": (lambda v: v["cameras"][1].pop("fl_x"),
+                                      r"cameras\[1\].fl_x: found nothing"),
     "width that is not whole": (lambda v: v["cameras"][0].update(w=40.5), r"cameras\[0\].w"),
     "distortion as text": (lambda v: v["cameras"][0].update(k1="a"), r"cameras\[0\].k1"),
     "matrix of another shape": (lambda v: v["cameras"][0].update(transform_matrix=[[1]]), "transform_matrix"),
@@ -99,17 +103,24 @@ BAD_DOCUMENTS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "no training split": (lambda v: v["splits"].pop("train"), "splits.train"),
     "unknown split": (lambda v: v["splits"].update(test={}), "splits.test"),
-    "unknown camera in a split": (lambda v: v["splits"]["train"].update(cameras=["z"]), 'found "z"; expected a camera'),
-    "frame that poses lack": (lambda v: v["splits"]["train"].update(frames=[0, 3]), "3, which poses.npz lacks"),
+    "unknown camera in a split": (lambda v: v["splits"]["train"].update(cameras=["z"]),
+                                  'found "z"; expected a camera'),
+    "frame that poses lack": (lambda v: v["splits"]["train"].update(frames=[0, 3]),
+                              "3, which poses.npz lacks"),
     "frame twice": (lambda v: v["splits"]["train"].update(frames=[0, 0]), "splits.train.frames"),
     "lighting that is not there": (lambda v: v.update(lighting={"scene": "l.xml"}), "lighting.scene"),
     "imported as text": (lambda v: v.update(imported="zju"), 'imported: found "zju"; expected an object'),
-    "imported without a subject": (lambda v: v.update(imported={**IMPORTED, "subject": None}), "imported.subject: found nothing"),
-    "imported cameras by number": (lambda v: v.update(imported={**IMPORTED, "cameras": [1]}), "imported.cameras"),
-    "imported every 0th frame": (lambda v: v.update(imported={**IMPORTED, "frames": 0}), "imported.frames: found 0"),
-    "imported twice as large": (lambda v: v.update(imported={**IMPORTED, "scale": 2}), "imported.scale: found 2"),
+    "imported without a subject": (lambda v: v.update(imported={**IMPORTED, "subject": None}),
+                                   "imported.subject: found nothing"),
+    "imported cameras by number": (lambda v: v.update(imported={**IMPORTED, "cameras": [1]}),
+                                   "imported.cameras"),
+    "imported every 0th frame": (lambda v: v.update(imported={**IMPORTED, "frames": 0}),
+                                 "imported.frames: found 0"),
+    "imported twice as large": (lambda v: v.update(imported={**IMPORTED, "scale": 2}),
+                                "imported.scale: found 2"),
     "a number of 400 digits": (lambda v: v["cameras"][0].update(fl_x=10**400), r"cameras\[0\].fl_x"),
-    "a matrix of 400 digits": (lambda v: v["cameras"][0]["transform_matrix"][0].__setitem__(0, 10**400), "transform_matrix"),
+    "a matrix of 400 digits": (lambda v: v["cameras"][0]["transform_matrix"][0].__setitem__(0, 10**400),
+                               "transform_matrix"),
 }
 
 
@@ -143,15 +154,18 @@ IMAGE, MASK = "images/b/000001.png", "masks/b/000001.png"
 BAD_FILES: dict[str, tuple[str, Callable[[Path], Any], str]] = {
     "no description": ("capture.json", Path.unlink, "no such file"),
     "half a description": ("capture.json", truncate, "cannot be read as JSON"),
-    "a description nested too deep": ("capture.json", lambda f: f.write_text("[" * 100_000), "cannot be read as JSON"),
+    "a description nested too deep": ("capture.json", lambda f: f.write_text("[" * 100_000),
+                                      "cannot be read as JSON"),
     "a description that is a list": ("capture.json", lambda f: f.write_text("[]"), "a JSON object"),
     "no body": ("body.npz", Path.unlink, "body.npz"),
     "half a body": ("body.npz", truncate, "body.npz"),
     "a body without UVs": ("body.npz", lambda f: save_npz(f, uv=None), "uv"),
-    "faces out of range": ("body.npz", lambda f: save_npz(f, faces=np.full((12, 3), -1, np.int32)), "body.npz|faces"),
+    "faces out of range": ("body.npz", lambda f: save_npz(f, faces=np.full((12, 3), -1, np.int32)),
+                           "body.npz|faces"),
     "no poses": ("poses.npz", Path.unlink, "poses.npz"),
     "NaN in a pose": ("poses.npz", with_nan, "poses.npz: pose"),
-    "vertices of another shape": ("poses.npz", lambda f: save_npz(f, vertices=np.zeros((3, 2))), "poses.npz: vertices"),
+    "vertices of another shape": ("poses.npz", lambda f: save_npz(f, vertices=np.zeros((3, 2))),
+                                  "poses.npz: vertices"),
     "no image": (IMAGE, Path.unlink, "no such file"),
     "no mask": (MASK, Path.unlink, "no such file"),
     "half an image": (IMAGE, truncate, "cannot be decoded"),
@@ -160,7 +174,8 @@ BAD_FILES: dict[str, tuple[str, Callable[[Path], Any], str]] = {
     "a grey image": (IMAGE, grey, "mode L; expected 8-bit RGB"),
     "an empty mask": (MASK, lambda f: Image.new("L", (32, 48)).save(f), "an empty mask"),
     "a soft mask": (MASK, lambda f: Image.new("L", (32, 48), 128).save(f), "the value 128"),
-    "a colour mask": (MASK, lambda f: Image.new("RGB", (32, 48)).save(f), "mode RGB; expected 8-bit, one channel"),
+    "a colour mask": (MASK, lambda f: Image.new("RGB", (32, 48)).save(f),
+                      "mode RGB; expected 8-bit, one channel"),
 }
 
 
@@ -177,7 +192,8 @@ def test_bad_files_are_named(box_capture: Path, case: str) -> None:
 
 
 def test_check_lists_every_fault_at_once(box_capture: Path) -> None:
-    edit(box_capture, lambda v: (v.update(units="ft"), v["cameras"][0].update(fl_x=-1), v["splits"].update(x={})))
+    edit(box_capture,
+         lambda v: (v.update(units="ft"), v["cameras"][0].update(fl_x=-1), v["splits"].update(x={})))
     (box_capture / "body.npz").unlink()
     text = "\n".join(map(str, problems(box_capture)))
     assert all(key in text for key in ("units", "cameras[0].fl_x", "splits.x", "body.npz"))

@@ -11,7 +11,8 @@ def test_pixel_rays_agree_with_the_cameras_own(capture):
     pixels = np.array([0, 17, camera.w * camera.h - 1])
     _, direction = pixel_rays(camera, pixels)
     y, x = np.divmod(pixels, camera.w)
-    ray = camera.rays(mi.Point2f(mi.Float((x + 0.5).astype(np.float32)), mi.Float((y + 0.5).astype(np.float32))))
+    ray = camera.rays(mi.Point2f(mi.Float((x + 0.5).astype(np.float32)),
+                                 mi.Float((y + 0.5).astype(np.float32))))
     np.testing.assert_allclose(np.array(ray.d), direction, atol=1e-6)
     points = camera.position + 2 * direction.T
     np.testing.assert_allclose(camera.project(points), np.stack([x, y], -1) + 0.5, atol=1e-6)

@@ -17,7 +17,9 @@ def square(side: int = 9) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_loop_subdivision_agrees_with_trimesh_on_closed_and_open_meshes() -> None:
-    """Where Warren's vertex weights are Loop's: at valences 3 and 6, here of a tetrahedron's four-fold subdivision."""
+    """Where Warren's vertex weights are Loop's: at valences 3 and 6, here of a tetrahedron's four-fold
+    subdivision.
+    """
     corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
     solid = trimesh.Trimesh(corners, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]).subdivide().subdivide()
     turn = np.arange(6) * np.pi / 3
@@ -48,7 +50,8 @@ def test_clip_cuts_along_the_zero_and_keeps_the_side_that_faces_up() -> None:
 def test_rim_distance_is_that_to_the_nearest_side_of_a_square() -> None:
     vertices, faces = square()
     x, y = vertices[:, 0], vertices[:, 1]
-    np.testing.assert_allclose(rim_distance(vertices, faces), np.minimum.reduce([x, 1 - x, y, 1 - y]), atol=1e-12)
+    np.testing.assert_allclose(rim_distance(vertices, faces), np.minimum.reduce([x, 1 - x, y, 1 - y]),
+                               atol=1e-12)
     ball = trimesh.creation.icosphere(1)
     assert np.isinf(rim_distance(ball.vertices, ball.faces)).all()
 

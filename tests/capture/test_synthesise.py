@@ -1,4 +1,6 @@
-"""The synthetic capture: sound on disk, the same for the same seed, resumable, with clothes that answer to the pose."""
+"""The synthetic capture: sound on disk, the same for the same seed, resumable, with clothes that answer to
+the pose.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,8 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def posed(performer: Performer, poses: Poses, row: int) -> list[np.ndarray]:
-    return performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row], poses.vertices[row])
+    return performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row],
+                          poses.vertices[row])
 
 
 def silhouette(capture: Capture, camera: str, frame: int) -> np.ndarray:
@@ -130,7 +133,8 @@ def test_overwrite_replaces_a_capture_and_leaves_nothing_of_it(tiny: Path, tmp_p
     other = tmp_path / "other"
     shutil.copytree(tiny, other)
     (other / "images" / "cam00" / "000099.png").write_bytes(b"")
-    small = replace(TINY, frames=1, view_frames=1, pose_frames=0, cameras=2, train_cameras=1, pose_cameras=1, sequence_frames=0, seed=3)
+    small = replace(TINY, frames=1, view_frames=1, pose_frames=0, cameras=2, train_cameras=1, pose_cameras=1,
+                    sequence_frames=0, seed=3)
     synthesise(other, small, overwrite=True)
     assert problems(other) == []
     assert len(list((other / "images").rglob("*.png"))) == 2
@@ -157,14 +161,17 @@ def test_another_light_changes_the_images_and_nothing_else(tiny: Path, tmp_path:
     assert not (tmp_path / "noon").exists()
 
 
-@pytest.mark.parametrize("change", [{"pixels": 4}, {"cameras": 0}, {"view_frames": 99}, {"frames": 0}, {"spp": 0}])
+@pytest.mark.parametrize("change",
+                         [{"pixels": 4}, {"cameras": 0}, {"view_frames": 99}, {"frames": 0}, {"spp": 0}])
 def test_impossible_settings_name_the_option(change: dict[str, int]) -> None:
     with pytest.raises(InputError, match=f"--{next(iter(change)).replace('_', '-')}|--train-cameras"):
         replace(TINY, **change)
 
 
 def winding_number(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """1 inside and 0 outside of a closed surface: the sum of solid angles (van Oosterom and Strackee 1983)."""
+    """1 inside and 0 outside of a closed surface: the sum of solid angles (van Oosterom and Strackee
+    1983).
+    """
     a, b, c = (triangles[None, :, i] - points[:, None] for i in range(3))
     la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
     volume = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
@@ -282,7 +289,8 @@ def test_tight_clothes_lie_on_the_body_and_do_not_fold_when_told_not_to(poses: P
 
 
 @pytest.mark.long
-def test_choices_are_part_of_what_a_capture_was_made_with_and_flat_light_shows_reflectance(tiny: Path, tmp_path: Path) -> None:
+def test_choices_are_part_of_what_a_capture_was_made_with_and_flat_light_shows_reflectance(tiny: Path,
+                                                                                           tmp_path: Path) -> None:
     one = replace(TINY, frames=2, view_frames=0, pose_frames=0, sequence_frames=0)
     look = Look("turn", "tight", False, "matte")
     flat = synthesise(tmp_path / "flat", one, light="flat", look=look)
@@ -296,7 +304,8 @@ def test_choices_are_part_of_what_a_capture_was_made_with_and_flat_light_shows_r
         synthesise(flat, one, light="flat", look=replace(look, surface="glossy"))
     with pytest.raises(InputError, match="--clothes.*none.*tight"):
         Look(clothes="none")
-    # Skin's reflectance is (206, 152, 122) in sRGB, mottled by a few percent: the brightest of the head is near it, in any frame.
+    # Skin's reflectance is (206, 152, 122) in sRGB, mottled by a few percent: the brightest of the head is
+    # near it, in any frame.
     for frame in (0, 1):
         image, mask = Capture.read(flat).image("cam00", frame), Capture.read(flat).mask("cam00", frame)
         top = np.flatnonzero(mask.any(axis=1))[0] + 2
@@ -306,8 +315,11 @@ def test_choices_are_part_of_what_a_capture_was_made_with_and_flat_light_shows_r
 
 @pytest.mark.long
 def test_carried_light_turns_with_the_performer(tmp_path: Path) -> None:
-    """A quarter of a turn on, a camera that turned along sees the same picture under carried light, and another under the studio's."""
-    settings = replace(TINY, pixels=32, spp=256, cameras=4, train_cameras=4, frames=4, view_frames=0, pose_frames=0, pose_cameras=1,
+    """A quarter of a turn on, a camera that turned along sees the same picture under carried light, and
+    another under the studio's.
+    """
+    settings = replace(TINY, pixels=32, spp=256, cameras=4, train_cameras=4, frames=4, view_frames=0,
+                       pose_frames=0, pose_cameras=1,
                        sequence_frames=0)
     body = load_anny()
     poses = plan.motion(body, settings, "turn")

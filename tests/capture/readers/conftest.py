@@ -1,4 +1,6 @@
-"""Subjects in ZJU-MoCap's layout, written from a small model of 24 joints; its silhouettes are projected by OpenCV."""
+"""Subjects in ZJU-MoCap's layout, written from a small model of 24 joints; its silhouettes are projected by
+OpenCV.
+"""
 
 from __future__ import annotations
 
@@ -31,18 +33,16 @@ def model() -> dict[str, Any]:
     joints = vertices[np.random.default_rng(5).choice(len(vertices), 24, replace=False)] * 0.8
     near = np.exp(-np.square((vertices[:, None] - joints) / 0.25).sum(-1)) + 1e-6
     rng = np.random.default_rng(2)
-    return {
-        "v_template": vertices,
-        "f": np.array(mesh.faces, dtype=np.uint32),
-        "weights": near / near.sum(1, keepdims=True),
-        "J_regressor": sparse.csc_matrix(near.T / near.T.sum(1, keepdims=True)),
-        "kintree_table": np.array([TREE, range(24)]).astype(np.uint32),
-        "shapedirs": rng.normal(size=(162, 3, 10)) * 0.004,
-        "posedirs": rng.normal(size=(162, 3, 207)) * 0.004,
-    }
+    return {"v_template": vertices, "f": np.array(mesh.faces, dtype=np.uint32),
+            "weights": near / near.sum(1, keepdims=True),
+            "J_regressor": sparse.csc_matrix(near.T / near.T.sum(1, keepdims=True)),
+            "kintree_table": np.array([TREE, range(24)]).astype(np.uint32),
+            "shapedirs": rng.normal(size=(162, 3, 10)) * 0.004,
+            "posedirs": rng.normal(size=(162, 3, 207)) * 0.004}
 
 
-def posed(held: dict[str, Any], theta: np.ndarray, beta: np.ndarray, rh: np.ndarray, th: np.ndarray, blend: bool) -> np.ndarray:
+def posed(held: dict[str, Any], theta: np.ndarray, beta: np.ndarray, rh: np.ndarray, th: np.ndarray,
+          blend: bool) -> np.ndarray:
     """(V, 3) vertices in the capture's world: R(Rh)·X(θ, β) + Th."""
     turns = Rotation.from_rotvec(theta).as_matrix()
     rest = held["v_template"] + held["shapedirs"] @ beta
@@ -80,7 +80,8 @@ def ring(count: int, side: int, distortion: np.ndarray) -> dict[str, list[np.nda
 def picture(cams: dict[str, list[np.ndarray]], i: int, vertices: np.ndarray, faces: np.ndarray, side: int) -> np.ndarray:
     """(side, side) bool: triangles as OpenCV projects their corners, filled at four times the size."""
     rotation, _ = cv2.Rodrigues(cams["R"][i])
-    points, _ = cv2.projectPoints(1000 * vertices.astype(np.float64), rotation, cams["T"][i], cams["K"][i], cams["D"][i])
+    points, _ = cv2.projectPoints(1000 * vertices.astype(np.float64), rotation, cams["T"][i], cams["K"][i],
+                                  cams["D"][i])
     canvas = Image.new("L", (4 * side, 4 * side))
     draw = ImageDraw.Draw(canvas)
     for triangle in (4 * (points[:, 0] + 0.5) - 0.5)[faces]:
@@ -109,11 +110,15 @@ def smpl_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture
 def write_zju(tmp_path: Path) -> Callable[..., SimpleNamespace]:
-    """Writes a subject's folder: all of ``annots.npy``, and of the rest what the rows and cameras named need."""
+    """Writes a subject's folder: all of ``annots.npy``, and of the rest what the rows and cameras named
+    need.
+    """
 
     def write(
-        name: str, count: int, numbers: Sequence[int], rows: Sequence[int] = (), cameras: Sequence[int] | None = None, *,
-        pattern: str = "stem", fits: str = "new_params", masks: str = "mask_cihp", entries: int = 72, side: int = SIDE, stored: bool = True,
+        name: str, count: int, numbers: Sequence[int], rows: Sequence[int] = (),
+        cameras: Sequence[int] | None = None, *,
+        pattern: str = "stem", fits: str = "new_params", masks: str = "mask_cihp", entries: int = 72,
+        side: int = SIDE, stored: bool = True,
         calibrated: int | None = None, undistorted: bool = False,
     ) -> SimpleNamespace:  # fmt: skip
         folder = tmp_path / name
@@ -137,7 +142,8 @@ def write_zju(tmp_path: Path) -> Callable[..., SimpleNamespace]:
             th = np.array([0.3, -0.2, 1.0]) + rng.normal(size=3) * 0.03
             vertices = posed(held, theta, beta, rh, th, fits == "new_params")
             truth[number] = vertices
-            fit = {"poses": theta.reshape(1, 72)[:, 72 - entries :], "shapes": beta[None], "Rh": rh[None], "Th": th[None]}
+            fit = {"poses": theta.reshape(1, 72)[:, 72 - entries :], "shapes": beta[None], "Rh": rh[None],
+                   "Th": th[None]}
             np.save(folder / fits / f"{number}.npy", fit, allow_pickle=True)
             if stored:
                 place = folder / fits.replace("params", "vertices")

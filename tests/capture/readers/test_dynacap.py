@@ -1,4 +1,6 @@
-"""DynaCap: the layout assumed is read, and so is one converted to ZJU-MoCap's; ten cameras train, five test."""
+"""DynaCap: the layout assumed is read, and so is one converted to ZJU-MoCap's; ten cameras train, five
+test.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ def calibration(cams: dict, side: int) -> str:
         intrinsic, extrinsic = np.eye(4), np.eye(4)
         intrinsic[:3, :3] = matrix
         extrinsic[:3, :3], extrinsic[:3, 3:] = cams["R"][i], cams["T"][i]
-        lines += ["", f"name          {i}", "  sensor      14 14", f"  size        {side} {side}", "  animated    0"]
+        lines += ["", f"name          {i}", "  sensor      14 14", f"  size        {side} {side}",
+                  "  animated    0"]
         for key, values in (("intrinsic", intrinsic), ("extrinsic", extrinsic)):
             lines.append(f"  {key}   " + " ".join(f"{value:.12g}" for value in values.ravel()))
         lines.append("  radial      0")
@@ -34,7 +37,9 @@ def calibration(cams: dict, side: int) -> str:
 
 @pytest.fixture
 def raw(write_zju, tmp_path: Path) -> Path:
-    """Fifteen cameras; fits of the frames 1 to 1,200, which but for two are copies; images of two frames from three cameras."""
+    """Fifteen cameras; fits of the frames 1 to 1,200, which but for two are copies; images of two frames from
+    three cameras.
+    """
     written = write_zju("converted", 15, range(1, 1201), (0, 1000), (0, 1, 2), undistorted=True)
     folder = tmp_path / "D1"
     shutil.copytree(written.folder / "new_params", folder / "new_params")
@@ -60,14 +65,17 @@ SELECTION = Selection(frames=1000, test_frames=1000, train_cameras=("0", "2"), t
 
 def test_raw(raw: Path, smpl_file, tmp_path: Path, capsys) -> None:
     smpl, uv = smpl_file
-    arguments = ["capture", "import", "dynacap", str(raw), "-o", str(tmp_path / "out"), "--smpl", str(smpl), "--uv", str(uv)]
-    arguments += ["--frames", "1000", "--test-frames", "1000", "--train-cameras", "0", "2", "--test-cameras", "1"]
+    arguments = ["capture", "import", "dynacap", str(raw), "-o", str(tmp_path / "out"), "--smpl", str(smpl),
+                 "--uv", str(uv)]
+    arguments += ["--frames", "1000", "--test-frames", "1000", "--train-cameras", "0", "2", "--test-cameras",
+                  "1"]
     assert main(arguments) == 0
     assert "dynacap-D1: 3 cameras of 48 x 48" in capsys.readouterr().out
     assert problems(tmp_path / "out") == []
     capture = Capture.read(tmp_path / "out")
     assert capture.splits["train"].frames == (1,) and capture.splits["novel_pose"].frames == (1001,)
-    # Masks that JPEG has blurred are cut at the middle: the body's area is as OpenCV drew it, within its outline.
+    # Masks that JPEG has blurred are cut at the middle: the body's area is as OpenCV drew it, within its
+    # outline.
     row = capture.poses.index(1)
     pixels = np.floor(capture.cameras["0"].project(capture.poses.vertices[row])).astype(int)
     assert capture.mask("0", 1)[pixels[:, 1].clip(0, 47), pixels[:, 0].clip(0, 47)].mean() > 0.85

@@ -40,7 +40,8 @@ def test_halves_by_area_and_masks_to_the_nearest() -> None:
     # The third row is half a pixel and is cut off: (0 + 4 + 8 + 8) / 4 and (10 + 10 + 10 + 30) / 4.
     assert half.image(image)[..., 1].tolist() == [[5, 15]] and half.image(image).shape == (1, 2, 3)
     assert half.mask(mask).tolist() == [[True, False]]
-    assert (half.camera.w, half.camera.h, half.camera.fl_x, half.camera.cx, half.camera.cy) == (2, 1, 5, 1.25, 0.75)
+    assert (half.camera.w, half.camera.h, half.camera.fl_x, half.camera.cx, half.camera.cy) == (2, 1, 5, 1.25,
+                                                                                                0.75)
     assert (Rectifier(camera, 1.0).image(image) == image).all()
 
 
@@ -70,7 +71,9 @@ def test_reading(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("up", [[0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [1, 0, 0], [-1, 0, 0]])
 def test_y_comes_up(up: list[int]) -> None:
-    """Whichever axis is up: the performer's own, which leans a little, is brought to y by quarters of a turn."""
+    """Whichever axis is up: the performer's own, which leans a little, is brought to y by quarters of a
+    turn.
+    """
     to_up, _ = Rotation.align_vectors([up], [[0, 1, 0]])
     leaning = Rotation.from_euler("xyz", [0.3, 1.1, -0.2]).as_matrix()
     root = Rotation.from_matrix(to_up.as_matrix() @ leaning).as_rotvec()[None]

@@ -1,4 +1,6 @@
-"""ZJU-MoCap: every subject's frames, cameras and files as the dataset has them; and the imported mesh lies on the imported masks."""
+"""ZJU-MoCap: every subject's frames, cameras and files as the dataset has them; and the imported mesh lies on
+the imported masks.
+"""
 
 from __future__ import annotations
 
@@ -27,24 +29,19 @@ from ndf_mi.mitsuba_mesh import make_mesh
 cv2 = pytest.importorskip("cv2")
 
 #: subject: rows in annots.npy, first and last training frame, first and last frame of novel poses, cameras.
-FRAMES = {
-    "313": (1060, (1, 60), (61, 1060), 21),
-    "315": (1400, (1, 400), (401, 1400), 21),
-    "377": (617, (0, 299), (300, 499), 23),
-    "386": (646, (0, 299), (300, 645), 23),
-    "387": (654, (0, 299), (300, 653), 23),
-    "390": (1171, (700, 999), (0, 699), 23),
-    "392": (556, (0, 299), (300, 555), 23),
-    "393": (658, (0, 299), (300, 557), 23),
-    "394": (859, (0, 299), (300, 858), 23),
-}
+FRAMES = {"313": (1060, (1, 60), (61, 1060), 21), "315": (1400, (1, 400), (401, 1400), 21),
+          "377": (617, (0, 299), (300, 499), 23), "386": (646, (0, 299), (300, 645), 23),
+          "387": (654, (0, 299), (300, 653), 23), "390": (1171, (700, 999), (0, 699), 23),
+          "392": (556, (0, 299), (300, 555), 23), "393": (658, (0, 299), (300, 557), 23),
+          "394": (859, (0, 299), (300, 858), 23)}
 THINNED = Selection(frames=150, test_frames=150, test_cameras=("Camera_B2", "Camera_B9"))
 CHOSEN = {"rows": (0, 150, 300, 450), "cameras": (0, 1, 6, 8, 12, 18)}
 
 
 def silhouette(camera: Camera, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(h, w) bool: where Mitsuba, looking through the imported camera, sees the mesh."""
-    scene = mi.load_dict({"type": "scene", "mesh": make_mesh("body", vertices, faces), "integrator": {"type": "direct"}})
+    scene = mi.load_dict({"type": "scene", "mesh": make_mesh("body", vertices, faces),
+                          "integrator": {"type": "direct"}})
     rgba = mi.render(scene, sensor=mi.load_dict(camera.sensor(spp=16)), spp=16).numpy()
     return rgba[..., 3] > 0.5
 
@@ -91,7 +88,8 @@ def test_the_mesh_lies_on_the_masks(write_zju, smpl_file, tmp_path: Path) -> Non
         row = capture.poses.index(frame)
         seen = silhouette(capture.cameras[camera], capture.poses.vertices[row], capture.body.faces)
         assert (mask & seen).sum() / (mask | seen).sum() > 0.93
-        wrong = silhouette(capture.cameras[camera], capture.poses.vertices[row] * [-1, 1, 1], capture.body.faces)
+        wrong = silhouette(capture.cameras[camera], capture.poses.vertices[row] * [-1, 1, 1],
+                           capture.body.faces)
         assert (mask & wrong).sum() / (mask | wrong).sum() < 0.8
         image = capture.image(camera, frame)
         assert not image[~mask].any()
@@ -99,7 +97,9 @@ def test_the_mesh_lies_on_the_masks(write_zju, smpl_file, tmp_path: Path) -> Non
 
 
 def test_world_pose_and_projection(write_zju, smpl_file, tmp_path: Path) -> None:
-    """y is up; skinning gives the vertices; the cameras see them where OpenCV does, but for the lens, at half the size."""
+    """y is up; skinning gives the vertices; the cameras see them where OpenCV does, but for the lens, at half
+    the size.
+    """
     written = write_zju("CoreView_377", 23, range(500), **CHOSEN)
     import_capture(read_zju(written.folder, selection=THINNED, size=None), tmp_path / "out", *smpl_file)
     capture = Capture.read(tmp_path / "out")
@@ -108,7 +108,8 @@ def test_world_pose_and_projection(write_zju, smpl_file, tmp_path: Path) -> None
         x, y, z = world.T
         np.testing.assert_allclose(capture.poses.vertices[row], np.stack([x, z, -y], 1), atol=1e-6)
         poses = capture.poses
-        moved = skin(capture.body, poses.pose[row], poses.root_rotation[row], poses.translation[row], poses.shape)
+        moved = skin(capture.body, poses.pose[row], poses.root_rotation[row], poses.translation[row],
+                     poses.shape)
         np.testing.assert_allclose(np.array(moved).reshape(-1, 3), poses.vertices[row], atol=5e-6)
         for i, name in ((0, "Camera_B1"), (8, "Camera_B9")):
             matrix = written.cams["K"][i].copy()
@@ -121,7 +122,9 @@ def test_world_pose_and_projection(write_zju, smpl_file, tmp_path: Path) -> None
 
 
 def test_fits_without_pose_blend_shapes_and_the_older_names(write_zju, smpl_file, tmp_path: Path) -> None:
-    """313 as Neural Body reads it: params, numbers from 1 in the names; masks in `mask`; 69 entries; no vertices stored."""
+    """313 as Neural Body reads it: params, numbers from 1 in the names; masks in `mask`; 69 entries; no
+    vertices stored.
+    """
     written = write_zju(
         "CoreView_313", 21, range(1, 1061), (0, 30, 60), (0, 6, 12, 18, 3),
         pattern="numbered", fits="params", masks="mask", entries=69, stored=False,
@@ -156,7 +159,9 @@ def test_the_command(write_zju, smpl_file, tmp_path: Path, capsys) -> None:
 
 
 def test_differences_from_the_protocol_are_known_after_importing(write_zju, smpl_file, tmp_path: Path) -> None:
-    """Every fifth frame, at another size and without a camera: enough for the protocol's least numbers, and told in its notes."""
+    """Every fifth frame, at another size and without a camera: enough for the protocol's least numbers, and
+    told in its notes.
+    """
     rows = sorted({*range(0, 300, 5), *range(300, 500, 30)})
     written = write_zju("CoreView_377", 22, range(500), rows, side=24)
     names = [f"Camera_B{i + 1}" for i in range(22)]
@@ -198,7 +203,8 @@ class TestBadInput:
         assert error.where == str(written.folder / name) and words in error.found
 
     @pytest.mark.parametrize("name", [
-        "annots.npy", "new_params/300.npy", "new_vertices/0.npy", "Camera_B7/000300.jpg", "mask_cihp/Camera_B7/000300.png",
+        "annots.npy", "new_params/300.npy", "new_vertices/0.npy", "Camera_B7/000300.jpg",
+        "mask_cihp/Camera_B7/000300.png",
     ])  # fmt: skip
     def test_truncated(self, written, smpl_file, tmp_path: Path, name: str) -> None:
         file = written.folder / name
@@ -209,7 +215,8 @@ class TestBadInput:
         file = written.folder / "Camera_B7/000300.jpg"
         file.write_bytes(b"no image")
         (tmp_path / "there").mkdir()
-        source = read_zju(written.folder, None, Selection(300, 300, ("Camera_B1",), ("Camera_B7",)), size=None)
+        source = read_zju(written.folder, None, Selection(300, 300, ("Camera_B1",), ("Camera_B7",)),
+                          size=None)
         with pytest.raises(InputError, match=r"000300.jpg"):
             import_capture(source, tmp_path / "there/not/yet/out", *smpl_file)
         assert not list((tmp_path / "there").iterdir())
@@ -278,10 +285,12 @@ class TestBadInput:
         few = {**held, "kintree_table": held["kintree_table"][:, :20], "weights": np.full((162, 20), 0.05)}
         few |= {"J_regressor": held["J_regressor"][:20], "posedirs": held["posedirs"][..., :171]}
         (tmp_path / "few.pkl").write_bytes(pickle.dumps(few))
-        assert "a model of 20 joints" in self.attempt(written.folder, smpl_file, tmp_path / "out", smpl=tmp_path / "few.pkl").found
+        assert "a model of 20 joints" in self.attempt(written.folder, smpl_file, tmp_path / "out",
+                                                      smpl=tmp_path / "few.pkl").found
         for file in (written.folder / "new_vertices").iterdir():
             np.save(file, np.zeros((6890, 3), np.float32))
-        assert "a model of 162 vertices; expected 6890" in str(self.attempt(written.folder, smpl_file, tmp_path / "out"))
+        assert "a model of 162 vertices; expected 6890" in str(self.attempt(written.folder, smpl_file,
+                                                                            tmp_path / "out"))
 
     @pytest.mark.parametrize(("options", "words"), [
         ({"frames": 0}, "--frames"),
