@@ -64,8 +64,8 @@ def triangles(shape: mi.Shape) -> tuple[np.ndarray, np.ndarray] | None:
     if "positions" in parameters and "faces" in parameters:
         return parameters["positions"].numpy(), np.array(shape.geometric_faces()).reshape(-1, 3)
     if "vertex_positions" in parameters:
-        return parameters["vertex_positions"].numpy().reshape(-1, 3), parameters["faces"].numpy().reshape(-1,
-                                                                                                          3)
+        vertices, faces = parameters["vertex_positions"], parameters["faces"]
+        return vertices.numpy().reshape(-1, 3), faces.numpy().reshape(-1, 3)
     return None
 
 

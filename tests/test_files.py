@@ -14,14 +14,14 @@ from ndf_mi import files
 
 def test_replaces_only_on_success(tmp_path):
     target = tmp_path / "new" / "folder" / "picture.png"
-    with files.replacing(target) as beside:
-        assert beside.suffix == ".png" and beside.parent == target.parent
-        beside.write_bytes(b"one")
+    with files.replacing(target) as temporary:
+        assert temporary.suffix == ".png" and temporary.parent == target.parent
+        temporary.write_bytes(b"one")
         assert not target.exists()
     assert target.read_bytes() == b"one"
     with pytest.raises(RuntimeError, match="halfway"):
-        with files.replacing(target) as beside:
-            beside.write_bytes(b"tw")
+        with files.replacing(target) as temporary:
+            temporary.write_bytes(b"tw")
             raise RuntimeError("halfway")
     assert target.read_bytes() == b"one"
     assert os.listdir(target.parent) == ["picture.png"]

@@ -92,7 +92,7 @@ def test_newest_usable_wins(monkeypatch, tmp_path):
 
 
 def test_none_or_too_old_means_none(tmp_path):
-    """Where only 15 and 16 exist, Dr.Jit must find nothing, and the user must be told the command."""
+    """Where only 15 and 16 exist, Dr.Jit must find nothing, and the message has the command that installs another."""
     (tmp_path / "libLLVM-15.so.1").touch()
     (tmp_path / "libLLVM-16.so.1").touch()
     code = """
@@ -152,5 +152,5 @@ def test_old_llvm_loaded_before_import_names_the_better_one(tmp_path):
 def test_runs_by_itself():
     result = subprocess.run([sys.executable, "-I", llvm.__file__], capture_output=True, text=True)
     found = llvm.find()
-    assert (result.returncode, result.stdout.strip()) == ((0, str(found)) if found else (1,
-                                                                                         llvm.install_command()))
+    expected = (0, str(found)) if found else (1, llvm.install_command())
+    assert (result.returncode, result.stdout.strip()) == expected

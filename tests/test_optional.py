@@ -22,8 +22,9 @@ def test_a_missing_package_is_named_with_the_command_that_installs_it() -> None:
     assert raised.value.repair == 'pip install "ndf-mi[atlas]"'
 
 
-def test_an_error_inside_a_package_is_not_mistaken_for_a_missing_one(tmp_path: Path,
-                                                                     monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_inside_a_package_is_not_a_missing_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "broken_package.py").write_text("import surely_not_there")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ModuleNotFoundError, match="surely_not_there"):

@@ -236,7 +236,7 @@ def test_another_name_is_refused_and_not_run(tmp_path: Path, function: Any, argu
 
 
 def reduced(data: Any, dtype: str = "f8", shape: Any = (2,)) -> bytes:
-    """The pickle of an array whose state says something else than its data."""
+    """The pickle of an array whose state does not fit its data."""
     state = (1, shape, Calls(np.dtype, dtype), False, data)
 
     class Array:

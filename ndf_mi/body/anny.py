@@ -201,8 +201,8 @@ def _shapes(count: int, target: Callable[[str], np.ndarray]) -> tuple[np.ndarray
         "muscle": [mean(f"universal-{{}}-young-{end}muscle-averageweight") for end in ("max", "min")],
         "sex": [adults["male", "young"], adults["female", "young"]],
         "age": [old, young],
-        "proportions": [mean(f"proportions/{{}}-young-{average}-{end}proportions") for end in ("ideal",
-                                                                                               "uncommon")],
+        "proportions": [mean(f"proportions/{{}}-young-{average}-{end}proportions")
+                        for end in ("ideal", "uncommon")],
     }
     return young, np.stack([(ends[name][0] - ends[name][1]) / 2 for name in SHAPE_NAMES], axis=-1)
 

@@ -72,7 +72,7 @@ def one_piece(vertices: np.ndarray, faces: np.ndarray, front: Sequence[float] = 
     uv = np.round(pack(charts) * _GRID) / _GRID
     atlas = Atlas(uv.astype(np.float32), uv_faces.astype(np.int32))
     report = check_atlas(points, triangles, atlas)
-    if not report.sound:
+    if not report.valid:
         found = (f"{report.charts} charts of {report.components} components, {report.flipped} flipped "
                  f"triangles and {report.overlaps} overlaps")
         raise InputError("vertices", f"a surface whose atlas has {found}", "a surface that can be flattened",
@@ -113,8 +113,9 @@ def _chart(points: np.ndarray, triangles: np.ndarray, front: np.ndarray) -> tupl
                      "Refine or smooth its mesh.")
 
 
-def _split(faces: np.ndarray, points: np.ndarray, opposite: np.ndarray, cut: np.ndarray) -> tuple[np.ndarray,
-                                                                                                  np.ndarray]:
+def _split(
+    faces: np.ndarray, points: np.ndarray, opposite: np.ndarray, cut: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The triangles over the vertices after cutting, and those vertices."""
     corners = mesh.vertices_after_cut(opposite, cut)
     source = np.zeros(corners.max() + 1, np.int64)

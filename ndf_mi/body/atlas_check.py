@@ -60,7 +60,7 @@ class AtlasReport:
     anisotropy: tuple[float, float]
 
     @property
-    def sound(self) -> bool:
+    def valid(self) -> bool:
         """Whether each component is one chart without flips and overlaps."""
         return self.charts == self.components and self.flipped == self.overlaps == 0
 

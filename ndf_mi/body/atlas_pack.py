@@ -40,8 +40,8 @@ def _turned(flat: np.ndarray, measure: Callable[[np.ndarray], float]) -> np.ndar
     upwards.
     """
     angles = np.deg2rad(np.arange(90.0))
-    turns = np.stack([np.cos(angles), -np.sin(angles), np.sin(angles), np.cos(angles)], axis=1).reshape(-1, 2,
-                                                                                                        2)
+    cosine, sine = np.cos(angles), np.sin(angles)
+    turns = np.stack([cosine, -sine, sine, cosine], axis=1).reshape(-1, 2, 2)
     turned = flat @ min(turns, key=lambda turn: measure(np.ptp(flat @ turn.T, axis=0))).T
     if np.ptp(turned[:, 0]) > np.ptp(turned[:, 1]):
         turned = np.stack([-turned[:, 1], turned[:, 0]], axis=1)

@@ -90,8 +90,8 @@ class _Seam:
         length = np.linalg.norm(points[self._u] - points[self._v], axis=1)
         length = np.maximum(length, 1e-6 * length.mean())  # without steps of no length, which would tie paths
         self.seen = openness(points, faces)
-        factor = 1 + _OPEN_COST * self.seen + _FRONT_COST * np.maximum(vertex_normals(points, faces) @ front,
-                                                                       0)
+        facing = np.maximum(vertex_normals(points, faces) @ front, 0)
+        factor = 1 + _OPEN_COST * self.seen + _FRONT_COST * facing
         # Meshes are fine in the face, where a seam shows: each step costs more than its length.
         self._cost = (length + length.mean()) * (factor[self._u] + factor[self._v]) / 2
         self._length = length

@@ -83,8 +83,8 @@ class Clip:
         for j, p in enumerate(self.parents):
             if p >= 0:
                 rotations[:, j] = rotations[:, p] @ self.rotations[:, j]
-                positions[:, j] = positions[:, p] + np.einsum("tab,tb->ta", rotations[:, p],
-                                                              self.positions[:, j])
+                offset = np.einsum("tab,tb->ta", rotations[:, p], self.positions[:, j])
+                positions[:, j] = positions[:, p] + offset
         return rotations, positions
 
 

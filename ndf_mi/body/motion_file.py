@@ -167,8 +167,9 @@ def _same_body(poses: Poses, reference: Poses, body: Body, theirs: Body | None) 
         return False
     if not _equal(poses.shape, reference.shape):
         return False
-    return theirs is None or (_equal(theirs.template, body.template) and np.array_equal(theirs.faces,
-                                                                                        body.faces))
+    if theirs is None:
+        return True
+    return _equal(theirs.template, body.template) and np.array_equal(theirs.faces, body.faces)
 
 
 def _equal(a: np.ndarray | None, b: np.ndarray | None) -> bool:

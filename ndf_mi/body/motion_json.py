@@ -96,8 +96,9 @@ def _indices(body: Body) -> dict[str, int]:
     return {name: j for name, j in names.items() if j > 0}
 
 
-def _tracks(path: Path, frames: list[Keyframe], indices: dict[str, int]) -> tuple[dict[int, Track], Track,
-                                                                                  Track]:
+def _tracks(
+    path: Path, frames: list[Keyframe], indices: dict[str, int]
+) -> tuple[dict[int, Track], Track, Track]:
     rotations: dict[int, Track] = {}
     root: Track = ([], [])
     translation: Track = ([], [])

@@ -64,11 +64,11 @@ def load_smpl(path: str | os.PathLike[str], uv: str | os.PathLike[str] | None = 
         joint_dirs = np.einsum("jv,vcb->jcb", regressor, shape_dirs)
     if "posedirs" in found and pose_blend_shapes:
         pose_dirs = _dense(path, "posedirs", found, (count, 3, 9 * (joint_count - 1)))
-    texels, uv_faces = _texels(uv, template, faces)
+    uv_points, uv_faces = _uv(uv, template, faces)
     with arrays.located("body", path):
         return Body(
             faces=faces,
-            uv=texels,
+            uv=uv_points,
             uv_faces=uv_faces,
             template=template,
             joints=regressor @ template,
@@ -131,8 +131,9 @@ def _names(count: int) -> tuple[str, ...]:
     return JOINT_NAMES if count == len(JOINT_NAMES) else tuple(f"joint{j:02d}" for j in range(count))
 
 
-def _texels(uv: str | os.PathLike[str] | None, template: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray,
-                                                                                                 np.ndarray]:
+def _uv(
+    uv: str | os.PathLike[str] | None, template: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     if uv is not None:
         return read_uv(uv).over(faces, len(template))
     atlas = one_piece(template, faces)

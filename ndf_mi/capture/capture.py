@@ -72,8 +72,8 @@ class Capture:
                 mode.
         """
         raw = self._camera(camera)
-        file = self.path / self._document.image_pattern.format(camera=camera,
-                                                               frame=self._frame(camera, frame))
+        pattern, frame = self._document.image_pattern, self._frame(camera, frame)
+        file = self.path / pattern.format(camera=camera, frame=frame)
         image = read_image(file, (raw.w, raw.h))
         return image if raw.is_pinhole else undistort_image(image, raw, self.background)
 

@@ -177,8 +177,8 @@ def parse_document(folder: Path) -> tuple[Document | None, list[InputError]]:
     if raw.get("units") != "m":
         issues.add("units", shown(raw.get("units")), '"m"')
     background = issues.read(raw.get("background"), tuple[Fraction, Fraction, Fraction], "background")
-    image_pattern, mask_pattern = (_pattern(raw.get(key), key, issues) for key in ("image_pattern",
-                                                                                   "mask_pattern"))
+    image_pattern = _pattern(raw.get("image_pattern"), "image_pattern", issues)
+    mask_pattern = _pattern(raw.get("mask_pattern"), "mask_pattern", issues)
     cameras = _cameras(raw.get("cameras"), issues)
     splits = _splits(raw.get("splits"), cameras, issues)
     lighting = _lighting(raw.get("lighting"), folder, issues)

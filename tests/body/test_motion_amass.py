@@ -163,8 +163,8 @@ def test_z_up_stands_on_the_ground(anny: Body, tmp_path: Path) -> None:
                         write(tmp_path / "a.npz", poses=poses, trans=walk, mocap_framerate=np.array(30)),
                         10.0)
     assert len(motion.pose) == 11
-    first, last = (dict(zip(anny.joint_names, posed_joints(anny, motion, row), strict=True)) for row in (0,
-                                                                                                         10))
+    first, last = (dict(zip(anny.joint_names, posed_joints(anny, motion, row), strict=True))
+                   for row in (0, 10))
     assert 1.4 < first["Head"][1] < 1.7 and abs(first["LeftToeBase"][1] - 0.025) < 0.02
     step = last["Hips"] - first["Hips"]
     assert step[2] > 0.8 and np.abs(step[:2]).max() < 1e-5

@@ -26,9 +26,8 @@ def poses(small: Body) -> Poses:
     pose, root, translation = rng.normal(size=(5, 4, 3)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3)) * 3
     pose[:, 0] = 0
     shape = np.array([0.5, -1], np.float32)
-    vertices = np.stack([skin(small, *row, shape).numpy().reshape(-1, 3) + 0.01 for row in zip(pose, root,
-                                                                                               translation,
-                                                                                               strict=True)])
+    rows = zip(pose, root, translation, strict=True)
+    vertices = np.stack([skin(small, *row, shape).numpy().reshape(-1, 3) + 0.01 for row in rows])
     return Poses(np.array([3, 4, 6, 7, 9]), vertices, pose, root, translation, shape)
 
 

@@ -39,7 +39,7 @@ def model(shapes: int = 10) -> dict[str, Any]:
 
 
 def uv_file(path: Path, faces: np.ndarray) -> Path:
-    """Texel coordinates of their own for each corner."""
+    """Separate texture coordinates for each corner."""
     uv = np.random.default_rng(1).random((3 * len(faces), 2))
     np.savez(path, uv=uv.astype(np.float32), uv_faces=np.arange(3 * len(faces)).reshape(-1, 3))
     return path
@@ -136,21 +136,21 @@ def test_texels_of_an_obj_in_another_order(tmp_path: Path) -> None:
     held = model()
     faces = held["f"].astype(int)
     rng = np.random.default_rng(4)
-    texel_of = {(tuple(sorted(face)), vertex): rng.random(2).round(6) for face in faces.tolist() for vertex in face}
+    uv_of = {(tuple(sorted(face)), vertex): rng.random(2).round(6) for face in faces.tolist() for vertex in face}
     lines = [f"v {x} {y} {z}" for x, y, z in held["v_template"]]
     corners = []
     for i in rng.permutation(len(faces)):
         face = np.roll(faces[i], rng.integers(3)).tolist()
         for vertex in face:
-            corners.append((vertex, texel_of[tuple(sorted(face)), vertex]))
+            corners.append((vertex, uv_of[tuple(sorted(face)), vertex]))
     lines += [f"vt {u} {v}" for _, (u, v) in corners]
     for i in range(0, len(corners), 3):
         lines.append("f " + " ".join(f"{corners[i + c][0] + 1}/{i + c + 1}" for c in range(3)))
     (tmp_path / "uv.obj").write_text("\n".join(lines))
     body = load_smpl(write(tmp_path / "smpl.pkl", held), tmp_path / "uv.obj")
-    for face, texels in zip(body.faces.tolist(), body.uv_faces, strict=True):
-        for vertex, texel in zip(face, texels, strict=True):
-            np.testing.assert_allclose(body.uv[texel], texel_of[tuple(sorted(face)), vertex], atol=1e-6)
+    for face, uv_corners in zip(body.faces.tolist(), body.uv_faces, strict=True):
+        for vertex, uv_corner in zip(face, uv_corners, strict=True):
+            np.testing.assert_allclose(body.uv[uv_corner], uv_of[tuple(sorted(face)), vertex], atol=1e-6)
 
 
 def test_without_a_uv_file_the_body_gets_one_chart(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def test_without_a_uv_file_the_body_gets_one_chart(tmp_path: Path) -> None:
     held["v_template"][: len(ball.vertices)] = ball.vertices
     body = load_smpl(write(tmp_path / "smpl.pkl", held))
     report = check_atlas(body.template, body.faces, Atlas(body.uv, body.uv_faces))
-    assert report.sound and report.charts == 1
+    assert report.valid and report.charts == 1
 
 
 SPOILT: dict[str, tuple[dict[str, Any], str]] = {

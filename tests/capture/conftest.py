@@ -62,7 +62,7 @@ def expected_silhouette() -> Callable[[Camera, np.ndarray], np.ndarray]:
 
 @pytest.fixture
 def box_capture(tmp_path: Path) -> Path:
-    """The folder of a whole and sound capture."""
+    """The folder of a complete and valid capture."""
     document = box_document()
     body, poses = box_body()
     writer = CaptureWriter(tmp_path / "box", document)

@@ -1,4 +1,4 @@
-"""The synthetic capture: sound on disk, the same for the same seed, resumable, with clothes that answer to
+"""The synthetic capture: valid on disk, the same for the same seed, resumable, with clothes that answer to
 the pose.
 """
 
@@ -268,7 +268,7 @@ def test_one_pose_is_held_while_the_performer_turns_or_stands(kind: str) -> None
         np.testing.assert_allclose(back, first, atol=1e-5)
         gone = plan.heading(poses.root_rotation[row]) - plan.heading(poses.root_rotation[0]) - angle
         assert np.cos(gone) == pytest.approx(1, abs=1e-6)
-    # Poses that are shown to nobody in training are as ever.
+    # The novel poses do not change.
     assert np.ptp(poses.pose[3:5], axis=0).max() > 0.1
 
 
@@ -289,8 +289,7 @@ def test_tight_clothes_lie_on_the_body_and_do_not_fold_when_told_not_to(poses: P
 
 
 @pytest.mark.long
-def test_choices_are_part_of_what_a_capture_was_made_with_and_flat_light_shows_reflectance(tiny: Path,
-                                                                                           tmp_path: Path) -> None:
+def test_choices_are_recorded_and_flat_light_shows_reflectance(tiny: Path, tmp_path: Path) -> None:
     one = replace(TINY, frames=2, view_frames=0, pose_frames=0, sequence_frames=0)
     look = Look("turn", "tight", False, "matte")
     flat = synthesise(tmp_path / "flat", one, light="flat", look=look)

@@ -54,8 +54,8 @@ class Rectifier:
         """(h, w) bool, from the calibrated camera to the pinhole camera."""
         if self._at is not None:
             mask = map_coordinates(mask.astype(np.uint8), self._at, order=0) > 0
-        rows, columns = ((np.arange(n) / self._scale + 1e-6).astype(int) for n in (self.camera.h,
-                                                                                   self.camera.w))
+        sides = (self.camera.h, self.camera.w)
+        rows, columns = ((np.arange(n) / self._scale + 1e-6).astype(int) for n in sides)
         return mask[np.ix_(rows, columns)]
 
 

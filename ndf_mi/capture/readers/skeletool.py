@@ -1,6 +1,6 @@
 """Camera calibrations as text, DynaCap's format ("Skeletool Camera Calibration File").
 
-A title, then a block of lines for each camera, of which these are read; matrices are row by row::
+A title, then a block of lines for each camera, from which these are read; matrices are row by row::
 
     name       0
       size       1285 940

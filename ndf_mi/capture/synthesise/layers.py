@@ -124,9 +124,9 @@ class Frame:
         above = np.minimum((mirrored - shoulder) @ upper, self.elbow)
         self.arm_s = above + np.maximum((mirrored - elbow) @ lower, 0)
         forward = np.array([0.0, 0.0, 1.0])
-        beside = np.cross(upper, forward)
+        across = np.cross(upper, forward)
         centre = shoulder + np.clip(self.arm_s, 0, self.elbow)[:, None] * upper
-        self.arm_phi = np.arctan2((mirrored - centre) @ beside, (mirrored - centre) @ forward)
+        self.arm_phi = np.arctan2((mirrored - centre) @ across, (mirrored - centre) @ forward)
         hip, knee, ankle = (at[f"Left{n}"] for n in ("UpLeg", "Leg", "Foot"))
         heights = np.array([ankle[1], knee[1], hip[1]])
         axis = [np.interp(self.y, heights, [ankle[i], knee[i], hip[i]]) for i in (0, 2)]

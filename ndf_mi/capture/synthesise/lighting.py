@@ -111,8 +111,8 @@ def write(folder: Path, name: str = DEFAULT) -> str:
     """Writes a light as a Mitsuba scene with its image into ``folder``; returns the name of the scene
     file.
     """
-    with replacing(folder / ENVIRONMENT) as beside:
-        mi.Bitmap(environment(name)).write(str(beside))
+    with replacing(folder / ENVIRONMENT) as temporary:
+        mi.Bitmap(environment(name)).write(str(temporary))
     write_text(
         folder / SCENE,
         f'<scene version="3.0.0">\n    <emitter type="envmap">\n'

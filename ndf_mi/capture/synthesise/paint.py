@@ -95,8 +95,8 @@ def skin(rest: np.ndarray, eyes: np.ndarray, lips: np.ndarray) -> np.ndarray:
         colour = over(colour, tone(208, 98, 82), 0.45 * cheek)
         across = (rest[:, 0] - eye[0]) * side
         arch = 0.021 - 6.0 * (across - 0.006) ** 2
-        brow = rise(np.abs(rest[:, 1] - eye[1] - arch), 0.0055, 0.0030) * rise(np.abs(across - 0.002), 0.026,
-                                                                               0.021)
+        brow = rise(np.abs(rest[:, 1] - eye[1] - arch), 0.0055, 0.0030)
+        brow = brow * rise(np.abs(across - 0.002), 0.026, 0.021)
         colour = over(colour, tone(48, 30, 22), 0.92 * brow * face)
         lid = rise(np.linalg.norm((rest - eye) * [1, 1.6, 0.6], axis=1), 0.026, 0.019)
         colour = over(colour, tone(92, 54, 46), 0.6 * lid * face)

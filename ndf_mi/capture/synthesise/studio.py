@@ -33,8 +33,9 @@ class Studio:
 
     def __init__(self, layers: Sequence[Layer], spp: int, light: str = lighting.DEFAULT) -> None:
         self._light = lighting.light(light)
-        scene: dict = {"type": "scene"} if self._light.flat else {"type": "scene",
-                                                                  "light": lighting.emitter(light)}
+        scene: dict = {"type": "scene"}
+        if not self._light.flat:
+            scene["light"] = lighting.emitter(light)
         self._names = []
         for i, layer in enumerate(layers):
             name = f"layer{i}"
@@ -54,14 +55,13 @@ class Studio:
         around y.
         """
         if self._light.carried:
-            self._parameters["light.to_world"] = mi.Transform4f().rotate([0, 1, 0],
-                                                                         float(np.degrees(heading)))
+            turn = mi.Transform4f().rotate([0, 1, 0], float(np.degrees(heading)))
+            self._parameters["light.to_world"] = turn
         for name, vertices in zip(self._names, layers, strict=True):
             set_vertices(self._parameters, vertices, name)
         self._parameters.update()
         self._points = np.concatenate(list(layers))
-        self._edge = max(_longest_edge(vertices, faces) for vertices, faces in zip(layers, self._faces,
-                                                                                   strict=True))
+        self._edge = max(map(_longest_edge, layers, self._faces))
 
     def render(self, camera: Camera, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Renders the performer with a box filter.

@@ -98,7 +98,7 @@ def name_of(number: int, camera: int, pattern: str) -> str:
 
 @pytest.fixture(scope="session")
 def smpl_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The model's file, and texel coordinates for it."""
+    """The model's file, and texture coordinates for it."""
     folder = tmp_path_factory.mktemp("smpl")
     held = model()
     (folder / "smpl.pkl").write_bytes(pickle.dumps(held, 2))

@@ -160,7 +160,7 @@ def test_the_command(write_zju, smpl_file, tmp_path: Path, capsys) -> None:
 
 def test_differences_from_the_protocol_are_known_after_importing(write_zju, smpl_file, tmp_path: Path) -> None:
     """Every fifth frame, at another size and without a camera: enough for the protocol's least numbers, and
-    told in its notes.
+    reported in its notes.
     """
     rows = sorted({*range(0, 300, 5), *range(300, 500, 30)})
     written = write_zju("CoreView_377", 22, range(500), rows, side=24)
@@ -172,8 +172,8 @@ def test_differences_from_the_protocol_are_known_after_importing(write_zju, smpl
     assert capture.imported == Imported("zju", "377", tuple(names), 5, 30, 1.0)
     ZJU.check(capture)
     few, view, pose, size = ZJU.notes({"edge_kernel": 3}, capture)
-    assert "60 of 300 training frames of subject 377" in few and "Images are at 1 of 1024²" in size
-    assert "novel views are not the protocol's, but without Camera_B22." in view and "novel poses" in pose
+    assert all(fact in few for fact in ("60", "300", "377")) and "1024²" in size
+    assert "novel view" in view and "Camera_B22" in view and "novel pose" in pose
 
 
 class TestBadInput:
@@ -289,8 +289,8 @@ class TestBadInput:
                                                       smpl=tmp_path / "few.pkl").found
         for file in (written.folder / "new_vertices").iterdir():
             np.save(file, np.zeros((6890, 3), np.float32))
-        assert "a model of 162 vertices; expected 6890" in str(self.attempt(written.folder, smpl_file,
-                                                                            tmp_path / "out"))
+        refused = self.attempt(written.folder, smpl_file, tmp_path / "out")
+        assert "a model of 162 vertices; expected 6890" in str(refused)
 
     @pytest.mark.parametrize(("options", "words"), [
         ({"frames": 0}, "--frames"),
