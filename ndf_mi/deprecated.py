@@ -3,21 +3,21 @@
 A command lists its old options in a class attribute ``deprecated``; they are absent from ``--help``::
 
     deprecated: ClassVar = (
-        RenamedOption("--skip-hidden", "--min-transmittance"),
-        RenamedValue("--protocol", "ours", "default"),
-        ReplacedOption("--offsets", {"all": (), "none": ("--methods", "ndf,mesh")}, "--methods"),
+        DeprecatedOption("--lattice", "--grid-spacing"),
+        DeprecatedOption("--protocol", "--protocol", {"ours": ("--protocol", "default")}),
+        DeprecatedOption("--offsets", "--methods", {"all": (), "none": ("--methods", "ndf,mesh")}),
     )
 
-Old names that a user types warn once, on standard error; old names in files are read silently.
+Old names that a user types warn once, on standard error. Old names in files are read silently.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Protocol
+from typing import Any
 
 from ndf_mi.errors import InputError
 
@@ -34,120 +34,60 @@ def warn(old: str, new: str) -> None:
     print(f"ndf-mi: warning: {old} is deprecated: use {new}", file=sys.stderr, flush=True)
 
 
-class DeprecatedOption(Protocol):
-    """An old form of an option on the command line."""
+@dataclass(frozen=True)
+class DeprecatedOption:
+    """An old option that takes a value, or an old value of an option.
 
-    def rewrite(self, name: str, value: str | None, arguments: Sequence[str]) -> Sequence[str] | None:
-        """The arguments that replace an option, or None where it isn't the old form.
+    Attributes:
+        old: the option, such as ``--offsets``.
+        new: the option to use instead; the same where only values were renamed.
+        values: old value → the arguments that mean the same today; None where the values are the same.
+    """
 
-        Args:
-            name: the option, such as ``--skip-hidden``, with hyphens.
-            value: the argument that follows, or what stands behind ``=``; None where there is none.
-            arguments: the whole command line.
+    old: str
+    new: str
+    values: Mapping[str, Sequence[str]] | None = None
 
-        Returns:
-            the new option and its value, in the place of `name` and, where the option takes one, `value`.
+    def rewrite(self, value: str) -> Sequence[str]:
+        """Today's arguments for the option with a value, with a warning where one is old.
+
+        Raises:
+            InputError: the old option never had this value.
         """
-        ...
+        if self.values is None:
+            warn(self.old, self.new)
+            return self.new, value
+        if value in self.values:
+            warn(f"{self.old} {value}", " ".join(self.values[value]) or f"the default of {self.new}")
+            return self.values[value]
+        if self.old == self.new:
+            return self.old, value
+        known = "one of " + ", ".join(self.values)
+        raise InputError(self.old, repr(value), known, f"{self.old} is deprecated: use {self.new}.")
 
 
-@dataclass(frozen=True)
-class RenamedOption:
-    """``old`` became ``new``; the value means the same."""
-
-    old: str
-    new: str
-    flag: bool = False
-    """Whether the option takes no value; then ``--no-old`` becomes ``--no-new``."""
-
-    def rewrite(self, name: str, value: str | None, arguments: Sequence[str]) -> Sequence[str] | None:
-        if self.flag:
-            for prefix in ("--", "--no-"):
-                if name == prefix + self.old[2:]:
-                    warn(name, prefix + self.new[2:])
-                    return [prefix + self.new[2:]]
-            return None
-        if name != self.old:
-            return None
-        _refuse_both(self.old, self.new, arguments)
-        warn(self.old, self.new)
-        return [self.new] if value is None else [self.new, value]
-
-
-@dataclass(frozen=True)
-class RenamedValue:
-    """The value ``old`` of ``option`` became ``new``."""
-
-    option: str
-    old: str
-    new: str
-
-    def rewrite(self, name: str, value: str | None, arguments: Sequence[str]) -> Sequence[str] | None:
-        if name != self.option or value != self.old:
-            return None
-        warn(f"{self.option} {self.old}", f"{self.option} {self.new}")
-        return [self.option, self.new]
-
-
-@dataclass(frozen=True)
-class ReplacedOption:
-    """An option that another one replaced."""
-
-    old: str
-    values: Mapping[str, Sequence[str]]
-    """Value of `old` → the arguments that now mean the same."""
-    new: str
-    """The option to use instead."""
-
-    def rewrite(self, name: str, value: str | None, arguments: Sequence[str]) -> Sequence[str] | None:
-        if name != self.old:
-            return None
-        _refuse_both(self.old, self.new, arguments)
-        if value is None or value not in self.values:
-            raise InputError(
-                self.old,
-                "no value" if value is None else repr(value),
-                "one of " + ", ".join(self.values),
-                f"{self.old} is deprecated: use {self.new}.",
-            )
-        replacement = self.values[value]
-        warn(f"{self.old} {value}", " ".join(replacement) or f"{self.new}, whose default is the same")
-        return replacement
-
-
-def rewrite_arguments(arguments: Sequence[str], options: Iterable[DeprecatedOption]) -> list[str]:
+def rewrite_arguments(arguments: Sequence[str], options: Sequence[DeprecatedOption]) -> list[str]:
     """A command line with deprecated options replaced by today's, each with a warning.
 
     Args:
-        arguments: of a command, ``--name value`` or ``--name=value``; underscores in names count as hyphens.
+        arguments: ``--name value`` or ``--name=value``; underscores in names count as hyphens.
         options: the command's deprecated options.
 
     Raises:
         InputError: an old option has a value that it never had, or is given together with the new one.
     """
-    options = tuple(options)
+    known = {option.old: option for option in options}
     rewritten: list[str] = []
-    index = 0
-    while index < len(arguments):
-        argument = arguments[index]
-        if not argument.startswith("--") or argument == "--":
+    waiting = list(arguments)
+    while waiting:
+        argument = waiting.pop(0)
+        option = known.get(_name(argument))
+        if option is None or not ("=" in argument or waiting):
             rewritten.append(argument)
-            index += 1
             continue
-        inline = "=" in argument
-        name = _name(argument)
-        following = arguments[index + 1] if index + 1 < len(arguments) else None
-        value = argument.partition("=")[2] if inline else following
-        for option in options:
-            replacement = option.rewrite(name, value, arguments)
-            if replacement is not None:
-                takes_value = not (isinstance(option, RenamedOption) and option.flag) and value is not None
-                rewritten += replacement
-                index += 1 + (takes_value and not inline)
-                break
-        else:
-            rewritten.append(argument)
-            index += 1
+        if option.old != option.new and option.new in map(_name, arguments):
+            raise InputError(option.old, f"it together with {option.new}", f"{option.new} alone")
+        rewritten += option.rewrite(argument.partition("=")[2] if "=" in argument else waiting.pop(0))
     return rewritten
 
 
@@ -164,9 +104,7 @@ def rename_parameter(props: Any, plugin: str, old: str, new: str) -> None:
     if old not in props:
         return
     if new in props:
-        raise InputError(
-            f"{plugin}: {old}", f"it together with {new}", f"{new} alone", f"{old} is the old name of {new}."
-        )
+        raise InputError(f"{plugin}: {old}", f"it together with {new}", f"{new} alone")
     warn(f"{plugin}: parameter {old}", new)
     props[new] = props[old]
     del props[old]
@@ -178,9 +116,8 @@ def rename_entries(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[
     Args:
         names: old key → new key, such as :data:`PRESET_FIELDS`.
     """
-    return {names[key]: value for key, value in values.items() if key in names} | {
-        key: value for key, value in values.items() if key not in names
-    }
+    renamed = {names[key]: value for key, value in values.items() if key in names}
+    return renamed | {key: value for key, value in values.items() if key not in names}
 
 
 def rename_entry(name: str, names: Mapping[str, str]) -> str:
@@ -189,11 +126,6 @@ def rename_entry(name: str, names: Mapping[str, str]) -> str:
         return name
     warn(name, names[name])
     return names[name]
-
-
-def _refuse_both(old: str, new: str, arguments: Sequence[str]) -> None:
-    if new in map(_name, arguments):
-        raise InputError(old, f"it together with {new}", f"{new} alone", f"{old} is deprecated.")
 
 
 def _name(argument: str) -> str:

@@ -6,29 +6,25 @@ import mitsuba as mi
 import pytest
 
 from ndf_mi import deprecated
-from ndf_mi.deprecated import RenamedOption, RenamedValue, ReplacedOption, rewrite_arguments
+from ndf_mi.deprecated import DeprecatedOption, rewrite_arguments
 from ndf_mi.errors import InputError
 
 OPTIONS = (
-    RenamedOption("--old-name", "--new-name"),
-    RenamedOption("--bright", "--light", flag=True),
-    RenamedValue("--protocol", "ours", "default"),
-    ReplacedOption("--offsets", {"all": (), "none": ("--methods", "a,b")}, "--methods"),
+    DeprecatedOption("--old-name", "--new-name"),
+    DeprecatedOption("--protocol", "--protocol", {"ours": ("--protocol", "default")}),
+    DeprecatedOption("--offsets", "--methods", {"all": (), "none": ("--methods", "a,b")}),
 )
 
 
 @pytest.mark.parametrize(("given", "rewritten", "warned"), [
     (["RUN", "--old-name", "3", "-o", "x"], ["RUN", "--new-name", "3", "-o", "x"], ["--old-name", "--new-name"]),
     (["--old_name=3", "RUN"], ["--new-name", "3", "RUN"], ["--old-name", "--new-name"]),
-    (["--old-name"], ["--new-name"], ["--old-name", "--new-name"]),
-    (["--bright", "RUN"], ["--light", "RUN"], ["--bright", "--light"]),
-    (["--no-bright", "RUN"], ["--no-light", "RUN"], ["--no-bright", "--no-light"]),
+    (["--old-name"], ["--old-name"], []),
     (["--protocol", "ours", "RUN"], ["--protocol", "default", "RUN"], ["--protocol ours", "--protocol default"]),
     (["--protocol=ours"], ["--protocol", "default"], ["--protocol ours"]),
     (["--offsets", "none", "RUN"], ["--methods", "a,b", "RUN"], ["--offsets none", "--methods a,b"]),
     (["--offsets=all", "RUN"], ["RUN"], ["--offsets all", "--methods"]),
     (["--protocol", "zju", "--new-name", "1"], ["--protocol", "zju", "--new-name", "1"], []),
-    (["--", "--old-name"], ["--", "--new-name"], ["--old-name"]),
 ])  # fmt: skip
 def test_arguments(capsys, given, rewritten, warned):
     assert rewrite_arguments(given, OPTIONS) == rewritten

@@ -11,7 +11,7 @@ import tyro
 
 from ndf_mi.commands.command_line import command_line
 from ndf_mi.commands.training_options import ABLATION_NAMES, OPTION_HELP, PRESET_HELP, configured
-from ndf_mi.deprecated import DeprecatedOption, RenamedValue
+from ndf_mi.deprecated import DeprecatedOption
 
 REPORT = "report.html"
 _ONLY_HELP = (
@@ -27,7 +27,9 @@ class Ablate:
     You can stop it at any time: the same command continues where it stopped, even within a training.
     """
 
-    deprecated: ClassVar[tuple[DeprecatedOption, ...]] = (RenamedValue("--protocol", "ours", "default"),)
+    deprecated: ClassVar[tuple[DeprecatedOption, ...]] = (
+        DeprecatedOption("--protocol", "--protocol", {"ours": ("--protocol", "default")}),
+    )
 
     capture: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
     """The capture's folder."""

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Literal
 import tyro
 
 from ndf_mi.commands.command_line import command_line
-from ndf_mi.deprecated import DeprecatedOption, RenamedValue, ReplacedOption
+from ndf_mi.deprecated import DeprecatedOption
 
 REPORT = "report.html"
 _METHODS_HELP = (
@@ -31,14 +31,14 @@ class Compare:
     """
 
     deprecated: ClassVar[tuple[DeprecatedOption, ...]] = (
-        RenamedValue("--protocol", "ours", "default"),
-        ReplacedOption(
+        DeprecatedOption("--protocol", "--protocol", {"ours": ("--protocol", "default")}),
+        DeprecatedOption(
             "--offsets",
+            "--methods",
             {
                 "all": (), "equal-time": ("--methods", "ndf,mesh,offset-mesh@equal-time"),
                 "none": ("--methods", "ndf,mesh"),
             },
-            "--methods",
         ),
     )
 

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from ndf_mi.commands.command_line import command_line
-from ndf_mi.deprecated import DeprecatedOption, RenamedOption
+from ndf_mi.deprecated import DeprecatedOption
 
 REPORT = "report.html"
 
@@ -22,7 +22,7 @@ class Relight:
     the same settings is kept.
     """
 
-    deprecated: ClassVar[tuple[DeprecatedOption, ...]] = (RenamedOption("--lattice", "--grid-spacing"),)
+    deprecated: ClassVar[tuple[DeprecatedOption, ...]] = (DeprecatedOption("--lattice", "--grid-spacing"),)
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of a run made by `ndf-mi optimise --integrator prbvolpath`."""

@@ -14,7 +14,7 @@ from tyro.conf import Positional
 
 import ndf_mi
 from ndf_mi import commands
-from ndf_mi.deprecated import RenamedOption
+from ndf_mi.deprecated import DeprecatedOption
 from ndf_mi.errors import InputError
 
 
@@ -26,7 +26,7 @@ class Fake:
     """What is read."""
     steps: int = 3
     """How many."""
-    deprecated: ClassVar = (RenamedOption("--number", "--steps"),)
+    deprecated: ClassVar = (DeprecatedOption("--number", "--steps"),)
 
     def run(self) -> int | None:
         match self.path.name:
