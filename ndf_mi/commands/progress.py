@@ -10,6 +10,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from ndf_mi.experiments import core
 from ndf_mi.experiments.core import Unit
+from ndf_mi.experiments.store import NO_RECORD
 
 
 class ConsoleProgress(core.Progress):
@@ -49,15 +50,17 @@ class ConsoleProgress(core.Progress):
                 self._task(label), total=budget, completed=seconds, details=f"step {step}  {psnr:.2f} dB"
             )
 
-    def begin(self, unit: Unit[Any], number: int, of: int) -> None:
-        """Shows a new bar, or prints a line unless one of this label was printed."""
+    def begin(self, unit: Unit[Any], number: int, of: int, why: str) -> None:
+        """Shows a new bar, or prints a line unless one of this label was printed; with the reason if an
+        earlier record is stale.
+        """
         if self._bars:
             self._progress.update(self._task(unit.group or unit.label), description=unit.label, total=of)
         elif unit.label not in self._begun:
             self._begun.add(unit.label)
-            self._console.print(
-                unit.label if of == 1 else f"{unit.label} ({number} of {of})", highlight=False, soft_wrap=True
-            )
+            details = [f"{number} of {of}"] * (of > 1) + [why] * (why != NO_RECORD)
+            text = f"{unit.label} ({'; '.join(details)})" if details else unit.label
+            self._console.print(text, highlight=False, soft_wrap=True)
 
     def done(self, unit: Unit[Any], number: int, of: int) -> None:
         """Updates the bar of a group."""

@@ -54,8 +54,9 @@ class Progress:
         """A step of the training that a unit with this label does: seconds and steps so far, the time that it
         was given, if any, and the step's mean squared error in sRGB."""
 
-    def begin(self, unit: Unit[Any], number: int, of: int) -> None:
-        """A unit begins: the `number`-th of the `of` units of its group."""
+    def begin(self, unit: Unit[Any], number: int, of: int, why: str) -> None:
+        """A unit begins: the `number`-th of the `of` units of its group, because its record is missing or
+        stale as `Store.staleness` describes."""
 
     def done(self, unit: Unit[Any], number: int, of: int) -> None:
         """The record of a unit is stored."""
@@ -85,10 +86,10 @@ def run_units(units: Iterable[Unit[R]], store: Store, progress: Progress = SILEN
     groups = [unit.group or unit.label for unit in units]
     records = []
     for index, (unit, group) in enumerate(zip(units, groups, strict=True)):
-        record = store.fresh(unit)
+        record, why = store.fresh(unit), store.staleness(unit)
         if record is None:
             number, of = groups[: index + 1].count(group), groups.count(group)
-            progress.begin(unit, number, of)
+            progress.begin(unit, number, of, why)
             record = unit.work()
             store.put(unit, record)
             progress.done(unit, number, of)

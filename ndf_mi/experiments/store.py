@@ -28,6 +28,7 @@ from ndf_mi.json_input import load_json, validated
 FORMAT = "ndf-study"
 VERSION = 2
 
+NO_RECORD = "no record"
 REPAIR = "Remove the file to measure everything again."
 
 R = TypeVar("R", bound=Struct)
@@ -88,18 +89,18 @@ class Store:
         )
 
     def staleness(self, unit: Unit[Any]) -> str:
-        """Why a unit has to be done: `missing`, or the inputs or outputs that changed; empty if its record is
-        fresh.
+        """Why a unit has to be done: `no record`, or the inputs that changed and the outputs that are
+        missing; empty if its record is fresh.
         """
         entry = self._entries.get(unit.key)
         if entry is None:
-            return "missing"
+            return NO_RECORD
         wanted = _plain(unit.inputs)
-        changed = sorted(
-            name for name in wanted.keys() | entry.inputs.keys() if wanted.get(name) != entry.inputs.get(name)
-        )
-        changed += [str(path) for path in unit.outputs if not path.exists()]
-        return ", ".join(changed)
+        names = sorted(wanted.keys() | entry.inputs.keys())
+        changed = [name for name in names if wanted.get(name) != entry.inputs.get(name)]
+        reasons = [f"{', '.join(changed)} changed"] if changed else []
+        reasons += [f"{path} missing" for path in unit.outputs if not path.exists()]
+        return "; ".join(reasons)
 
     def inputs(self, key: str) -> dict[str, Any]:
         """The inputs that a stored record depends on; empty if there is no such record."""

@@ -37,7 +37,7 @@ class Begun(Progress):
     def __init__(self, stop=None):
         self.labels, self.stop = [], stop
 
-    def begin(self, unit, number, of):
+    def begin(self, unit, number, of, why):
         self.labels.append(unit.label)
 
     def done(self, unit, number, of):

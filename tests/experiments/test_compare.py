@@ -182,7 +182,7 @@ def test_what_is_there_is_neither_trained_nor_rendered_again(run, capture, tmp_p
     done = len(brighter.fits), len(brighter.renders)
 
     class Never(Progress):
-        def begin(self, unit, number, of):
+        def begin(self, unit, number, of, why):
             pytest.fail(f"did {unit.key} again")
 
     again = compared(run, capture, tmp_path, "ndf", "brighter", sequence=2, progress=Never())

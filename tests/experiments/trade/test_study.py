@@ -41,7 +41,7 @@ class Begun(Progress):
     def __init__(self, stop_at=()):
         self.labels, self.stop_at = [], stop_at
 
-    def begin(self, unit, number, of):
+    def begin(self, unit, number, of, why):
         self.labels.append(unit.label)
         if (unit.label, number) == self.stop_at:
             raise KeyboardInterrupt
