@@ -17,8 +17,8 @@ VOID = {"meta", "img", "br", "link", "use", "path", "rect", "polyline"}
 class ParsedPage(HTMLParser):
     """Headings, tables, texts and pictures of a report.
 
-    Every element closes in order; nothing refers to another file; pictures are PNGs; pictures and charts have alternative texts; headings
-    of tables have a scope; tables lie in boxes that scroll.
+    Every element closes in order; nothing refers to another file; pictures are PNGs; pictures and charts have
+    alternative texts; headings of tables have a scope; tables lie in boxes that scroll.
 
     Attributes:
         text: all text outside of the style sheet, tags dropped.
@@ -38,7 +38,9 @@ class ParsedPage(HTMLParser):
         self.feed(self.source)
         self.close()
         assert not self._open
-        assert not re.search(r"""(src|href)=["'](?!data:|#)|url\((?!#)|@import|<script|<link|<iframe""", self.source)
+        assert not re.search(
+            r"""(src|href)=["'](?!data:|#)|url\((?!#)|@import|<script|<link|<iframe""", self.source
+        )
         assert 'name="viewport"' in self.source and "<style>" in self.source
 
     def handle_starttag(self, tag, attributes):
@@ -46,7 +48,9 @@ class ParsedPage(HTMLParser):
         if tag == "img":
             assert values["alt"]
             self.alts.append(values["alt"])
-            picture = Image.open(io.BytesIO(base64.b64decode(values["src"].removeprefix("data:image/png;base64,"))))
+            picture = Image.open(
+                io.BytesIO(base64.b64decode(values["src"].removeprefix("data:image/png;base64,")))
+            )
             assert picture.format == "PNG" and min(picture.size) > 1
         if tag == "svg":
             of = self._open[-1][1]
@@ -80,7 +84,3 @@ class ParsedPage(HTMLParser):
         elif any(re.fullmatch("h[1-4]", tag) for tag in tags):
             level, text = self.headings[-1]
             self.headings[-1] = level, text + data
-
-    def table_with(self, *cells: str) -> list[list[str]]:
-        """The first table one of whose rows holds these cells."""
-        return next(table for table in self.tables if any(set(cells) <= set(row) for row in table))

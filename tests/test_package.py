@@ -38,8 +38,8 @@ def test_every_file_next_to_the_code_is_installed(monkeypatch):
     build = run_setup("setup.py", stop_after="init").get_command_obj("build_py")
     build.ensure_finalized()
     installed = {Path(folder, name) for _, folder, _, names in build.data_files for name in names}
-    others = {file.relative_to(LIBRARY.parent) for file in LIBRARY.rglob("*") if file.is_file() and "__pycache__" not in file.parts}
-    assert {file for file in others if file.suffix != ".py"} <= installed
+    others = [file for file in LIBRARY.rglob("*") if file.is_file() and file.suffix not in (".py", ".pyc")]
+    assert {file.relative_to(LIBRARY.parent) for file in others} <= installed
 
 
 def test_there_is_one_version():

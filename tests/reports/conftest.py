@@ -1,4 +1,4 @@
-"""Studies made by hand: records of a method, pictures of a few pixels, and a capture that they are compared with."""
+"""Studies made by hand: records, pictures of a few pixels, and a capture that they are compared with."""
 
 from __future__ import annotations
 
@@ -18,7 +18,12 @@ from ndf_mi.experiments.trade.results import Figures, Row, Trade
 
 WIDTH, HEIGHT = 24, 20
 SEQUENCE = FrameSequence("novel_pose", "side", (3, 4, 5))
-VIEWS = [View("novel_view", "side", 1), View("novel_view", "side", 2), View("novel_pose", "side", 3), View("train", "front", 1)]
+VIEWS = [
+    View("novel_view", "side", 1),
+    View("novel_view", "side", 2),
+    View("novel_pose", "side", 3),
+    View("train", "front", 1),
+]
 
 
 def camera(name: str) -> Camera:
@@ -42,7 +47,9 @@ def truth() -> SimpleNamespace:
         return np.stack(HEIGHT * [np.stack([0.2 + 0.5 * x, 0.1 * frame + 0 * x, 0.6 - 0.5 * x], -1)])
 
     cameras = {name: camera(name) for name in ("front", "side")}
-    return SimpleNamespace(name="dancer", digest="0123456789abcdef" * 4, cameras=cameras, poses=poses, image=image)
+    return SimpleNamespace(
+        name="dancer", digest="0123456789abcdef" * 4, cameras=cameras, poses=poses, image=image
+    )
 
 
 def write_picture(file: Path, image: np.ndarray) -> None:
@@ -52,7 +59,7 @@ def write_picture(file: Path, image: np.ndarray) -> None:
 
 @pytest.fixture
 def add_method(truth: SimpleNamespace, tmp_path: Path) -> Callable[..., MethodResult]:
-    """Makes a method whose pictures are the truth plus a constant, with figures of every image and of one sequence."""
+    """Makes a method whose pictures are the truth plus a constant, with figures of images and a sequence."""
 
     def add(key: str, label: str, shift: float, **metadata: object) -> MethodResult:
         psnr = -20 * np.log10(shift) if shift else np.inf
@@ -72,11 +79,19 @@ def about() -> dict[str, object]:
     """What a study knows of its circumstances."""
     return {
         "run": "runs/a<b",
-        "capture": {"name": "dancer", "digest": "0123456789abcdef" * 4, "path": "captures/dancer",
-                    "train": {"cameras": 1, "frames": 1}},
+        "capture": {
+            "name": "dancer",
+            "digest": "0123456789abcdef" * 4,
+            "path": "captures/dancer",
+            "train": {"cameras": 1, "frames": 1},
+        },
         "measured": {"novel_view": 2, "novel_pose": 1, "train": 1},
-        "protocol": {"name": "default", "description": "All images.", "headline": ["box_psnr", "box_flip"],
-                     "notes": ["A `note` on the protocol."]},
+        "protocol": {
+            "name": "default",
+            "description": "All images.",
+            "headline": ["box_psnr", "box_flip"],
+            "notes": ["A `note` on the protocol."],
+        },
         "equal_seconds": 61.0,
         "settings": {"texture": 64},
         "training": {"steps": 1000},
@@ -87,12 +102,22 @@ def about() -> dict[str, object]:
 
 @pytest.fixture
 def results(add_method: Callable[..., MethodResult], about: dict[str, object]) -> Results:
-    """A field, a mesh that converged early, and a method that reports have never heard of, which has no training."""
+    """A field, a mesh that converged early, and a method without training that reports don't know."""
     history = [[step, step / 10, 0.1 / step] for step in (1, 2, 3, 4)]
     methods = [
         add_method("ndf", "NDF", 0.1, seconds=61.0, steps=1000, history=history),
-        add_method("mesh-converged", "Mesh, to convergence", 0.01, seconds=12.5, steps=100, converged=True, budget=None,
-                   history=history, note="Learning rate 0.1.", sweep={"0.1": 0.002}),
+        add_method(
+            "mesh-converged",
+            "Mesh, to convergence",
+            0.01,
+            seconds=12.5,
+            steps=100,
+            converged=True,
+            budget=None,
+            history=history,
+            note="Learning rate 0.1.",
+            sweep={"0.1": 0.002},
+        ),
         add_method("surprise", "Gaussian <surprise>", 0.0, holes={"count": 3}),
     ]
     return Results(about, methods)
@@ -100,18 +125,19 @@ def results(add_method: Callable[..., MethodResult], about: dict[str, object]) -
 
 @pytest.fixture
 def trade(truth: SimpleNamespace, tmp_path: Path) -> Trade:
-    """Renderings of a run, one of which is dominated and one was timed elsewhere, two fields, and a path-traced rendering.
+    """Renderings of a run (one dominated, one timed elsewhere), two fields, and a path-traced rendering.
 
     Their pictures, and those to which they are compared, are in the folder `pictures`.
     """
     views = [VIEWS[0], VIEWS[2]]
 
-    def row(key: str, field: str, seconds: float, psnr: float, session: str = "now", spp: int = 1, paths: bool = False) -> Row:
+    def row(key: str, field: str, seconds: float, psnr: float, session: str = "now", paths: bool = False) -> Row:
         truths = {} if paths else {"box_psnr": psnr, "box_ssim": 0.9, "box_flip": 0.1}
         figures = [Figures(view, truths, psnr + 10, None if paths else 31.0) for view in views]
         metadata = {"steps": 500, "training_seconds": 12.0, "loading": 0.5 if paths else None}
-        made = Row(key, "axis", f"{key} samples", field, {"spp": spp}, paths, key, metadata, 3 * 2**20, figures, [seconds, 3 * seconds],
-                   session)  # fmt: skip
+        setting, times = {"spp": 1}, [seconds, 3 * seconds]
+        made = Row(key, "axis", f"{key} samples", field, setting, paths, key, metadata, 3 * 2**20, figures, times)
+        made.session = session
         for view in views:
             image = truth.image(view.camera, view.frame)
             shown = image[::2, ::2] if paths else image
@@ -120,11 +146,19 @@ def trade(truth: SimpleNamespace, tmp_path: Path) -> Trade:
         return made
 
     rows = [
-        row("usual", "run", 0.4, 30.0), row("8", "run", 0.1, 20.0), row("16", "run", 0.2, 28.0), row("slow", "run", 0.6, 29.0),
-        row("elsewhere", "run", 0.01, 50.0, session="before"), row("own", "own", 0.4, 25.0), row("wide", "wide", 0.8, 26.0),
+        row("usual", "run", 0.4, 30.0),
+        row("8", "run", 0.1, 20.0),
+        row("16", "run", 0.2, 28.0),
+        row("slow", "run", 0.6, 29.0),
+        row("elsewhere", "run", 0.01, 50.0, session="before"),
+        row("own", "own", 0.4, 25.0),
+        row("wide", "wide", 0.8, 26.0),
         row("path", "run", 2.0, 22.0, paths=True),
-    ]  # fmt: skip
-    sessions = {"now": {"machine": {"Cores": "2"}, "timed": 1}, "before": {"machine": {"Cores": "64"}, "timed": 1}}
+    ]
+    sessions = {
+        "now": {"machine": {"Cores": "2"}, "timed": 1},
+        "before": {"machine": {"Cores": "64"}, "timed": 1},
+    }
     about = {
         "run": {"path": "runs/a<b", "preset": "tiny", "digest": "0123456789abcdef" * 4},
         "capture": {"name": "dancer", "digest": "0123456789abcdef" * 4},

@@ -16,7 +16,9 @@ POINTS = [("quick", 0.1, 20.0), ("beaten", 0.3, 19.0), ("middle", 0.4, 25.0), ("
 def chart(request):
     if request.param == "line":
         series = [("NDF", [1.0, 2.0, 3.0], [20.0, math.nan, 31.5])]
-        return charts.line_chart(series, "frame", "dB", "Title", ("still", [1, 2, 3], [9.0, 9.0, 9.0]), log_x=True)
+        return charts.line_chart(
+            series, "frame", "dB", "Title", ("still", [1, 2, 3], [9.0, 9.0, 9.0]), log_x=True
+        )
     if request.param == "front":
         return charts.front_chart(POINTS, [0, 2, 3], 2, "seconds", "dB", "Title", ("converged", 27.0))
     return charts.growth_chart(fit_growth([1e3, 2e3, 1e4], [0.1, 0.2, 1.0]), "rays", "s", "Title")
@@ -24,13 +26,17 @@ def chart(request):
 
 def test_a_chart_scales_and_takes_the_page_s_colour(chart):
     root = ElementTree.fromstring(chart.svg)
-    assert root.tag.endswith("svg") and "viewBox" in root.attrib and not {"width", "height"} & set(root.attrib)
+    assert (
+        root.tag.endswith("svg") and "viewBox" in root.attrib and not {"width", "height"} & set(root.attrib)
+    )
     assert "currentColor" in chart.svg and charts.INK not in chart.svg and "<metadata" not in chart.svg
     assert chart.title == "Title"
 
 
 def test_identifiers_are_unique_and_the_same_from_run_to_run():
-    first, again, other = (charts.line_chart([("a", [1, 2], [3, 4])], "x", "y", title) for title in ("A", "A", "B"))
+    first, again, other = (
+        charts.line_chart([("a", [1, 2], [3, 4])], "x", "y", title) for title in ("A", "A", "B")
+    )
     assert first == again
     identifiers = [set(re.findall(r'\bid="([^"]+)"', chart.svg)) for chart in (first, other)]
     assert identifiers[0] and not identifiers[0] & identifiers[1]
@@ -46,7 +52,11 @@ def test_lines_are_described():
 
 def test_a_front_is_described_and_named():
     chart = charts.front_chart(POINTS, [0, 2, 3], 2, "seconds", "dB", "", ("converged", 27.0))
-    assert "4 points" in chart.alt and "middle: 0.4, 25.00 (knee)" in chart.alt and "converged, 27.00" in chart.alt
+    assert (
+        "4 points" in chart.alt
+        and "middle: 0.4, 25.00 (knee)" in chart.alt
+        and "converged, 27.00" in chart.alt
+    )
     assert all(f">{label}<" in chart.svg for label in ("quick", "middle", "best"))
     assert ">beaten<" not in chart.svg
     assert [key.label for key in chart.legend] == ["Pareto front", "dominated", "knee", "converged"]

@@ -13,7 +13,8 @@ def page(results, truth, tmp_path):
 
 
 def test_all_methods_are_in_tables_pictures_charts_and_strips(results, page):
-    # Truth, three methods and three error maps of four views; the truth's change and three errors of it in two pairs of frames.
+    # Truth, three methods and three error maps of four views; the truth's change and three errors of it in
+    # two pairs of frames.
     assert len(page.alts) == 4 * 7 + 2 * 4
     assert len(page.charts) == 2
     for label in (method.label for method in results.methods):
@@ -24,8 +25,22 @@ def test_all_methods_are_in_tables_pictures_charts_and_strips(results, page):
 
 
 def test_figures_and_circumstances_are_printed(page):
-    for text in ("20.00", "40.00", "∞", "NDF − Mesh, to convergence", "−20.00", "runs/a<b", "12 s", "1 min 01 s", "dancer", "texture 64",
-                 "Protocol default: All images.", "means over 2 images", "means over 1 image;", "tPSNR over 2 pairs"):
+    for text in (
+        "20.00",
+        "40.00",
+        "∞",
+        "NDF − Mesh, to convergence",
+        "−20.00",
+        "runs/a<b",
+        "12 s",
+        "1 min 01 s",
+        "dancer",
+        "texture 64",
+        "Protocol default: All images.",
+        "means over 2 images",
+        "means over 1 image;",
+        "tPSNR over 2 pairs",
+    ):
         assert text in page.text, text
     assert "A note on the protocol." in page.text and "<code>note</code>" in page.source
 

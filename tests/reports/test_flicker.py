@@ -23,7 +23,9 @@ def test_every_method_has_a_line_and_a_strip(results, truth, tmp_path):
 
 def test_a_constant_error_is_no_flicker(results, truth, tmp_path):
     section = flicker_section(results, truth, tmp_path)
-    changes, *errors = (float(strip.panels[0][0].alt.split("mean ")[1].split(",")[0]) for strip in section.sequences[0].strips)
+    changes, *errors = (
+        float(strip.panels[0][0].alt.split("mean ")[1].split(",")[0]) for strip in section.sequences[0].strips
+    )
     # One channel of three changes by 0.1 from frame to frame. Pictures are rounded to 8 bits.
     assert changes == pytest.approx(0.1 / 3, abs=1e-3)
     assert all(error < 2 / 255 for error in errors)

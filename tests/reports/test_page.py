@@ -9,13 +9,29 @@ from ndf_mi.reports.page import Fact
 
 
 def test_a_page_is_one_file_with_escaped_text(tmp_path):
-    origin = page.origin({"command": "ndf-mi a 'b<c'", "machine": {"Cores": 2}}, Fact("Run", ("runs/a&b", "two lines")))
+    origin = page.origin(
+        {"command": "ndf-mi a 'b<c'", "machine": {"Cores": 2}}, Fact("Run", ("runs/a&b", "two lines"))
+    )
     curves = [{"name": "rays & <more>", "charts": [], "sentences": ["Time < memory."]}]
-    page.write_page(tmp_path / "page.html", "growth.html.j2", curves=curves, repeats=3, memory="counted.", origin=origin)
+    page.write_page(
+        tmp_path / "page.html", "growth.html.j2", curves=curves, repeats=3, memory="counted.", origin=origin
+    )
     parsed = ParsedPage(tmp_path / "page.html")
-    for text in ("ndf-mi a 'b<c'", "runs/a&b", "two lines", "Rays & <more>", "Time < memory.", "Cores", "3 repeats"):
+    for text in (
+        "ndf-mi a 'b<c'",
+        "runs/a&b",
+        "two lines",
+        "Rays & <more>",
+        "Time < memory.",
+        "Cores",
+        "3 repeats",
+    ):
         assert text in parsed.text
-    assert "<pre>ndf-mi a" in parsed.source and "prefers-color-scheme: dark" in parsed.source and "@media print" in parsed.source
+    assert (
+        "<pre>ndf-mi a" in parsed.source
+        and "prefers-color-scheme: dark" in parsed.source
+        and "@media print" in parsed.source
+    )
 
 
 def test_a_value_that_a_template_lacks_is_an_error_and_no_file_is_written(tmp_path):

@@ -22,7 +22,10 @@ def decoded(picture):
 def test_a_picture_holds_the_image_rounded_to_8_bits():
     image = np.array([[[0.0, 0.5, 1.0], [-1.0, 0.1, 2.0]]])
     assert decoded(pictures.picture(image, "alt")).tolist() == [[[0, 128, 255], [0, 26, 255]]]
-    assert decoded(pictures.picture(np.full((2, 2, 3), 7, np.uint8), "alt")).tolist() == np.full((2, 2, 3), 7).tolist()
+    assert (
+        decoded(pictures.picture(np.full((2, 2, 3), 7, np.uint8), "alt")).tolist()
+        == np.full((2, 2, 3), 7).tolist()
+    )
 
 
 def test_error_scale_is_round_and_covers_the_errors():

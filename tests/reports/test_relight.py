@@ -20,12 +20,22 @@ def lights(results):
 
 def test_a_table_and_pictures_under_each_light(lights, truth, tmp_path):
     lights["unseen"].about["capture"]["path"] = "captures/night"
-    write_relight_report(tmp_path / "report.html", lights, dict.fromkeys(lights, truth), dict.fromkeys(lights, tmp_path))
+    write_relight_report(
+        tmp_path / "report.html", lights, dict.fromkeys(lights, truth), dict.fromkeys(lights, tmp_path)
+    )
     page = ParsedPage(tmp_path / "report.html")
     assert len(page.alts) == 2 * 3 * 7
     assert {(2, "Under the seen light"), (2, "Under the unseen light")} <= set(page.headings)
-    assert page.tables[0][0][1:] == [f"{light} light, {split}" for light in ("Seen", "Unseen") for split in ("novel views", "novel poses")]
-    for text in ("captures/dancer", "captures/night", "38.2 dB under the unseen light", "6 mm", "Learning rate 0.1."):
+    assert page.tables[0][0][1:] == [
+        f"{light} light, {split}" for light in ("Seen", "Unseen") for split in ("novel views", "novel poses")
+    ]
+    for text in (
+        "captures/dancer",
+        "captures/night",
+        "38.2 dB under the unseen light",
+        "6 mm",
+        "Learning rate 0.1.",
+    ):
         assert text in page.text, text
 
 

@@ -11,19 +11,30 @@ from ndf_mi.reports.tables import Cell, Row, Table
 
 @pytest.fixture
 def table():
-    rows = (Row("a|b", (Cell("1"), Cell("2", best=True), Cell("3"))), Row("c", (Cell("4"), Cell("5"), Cell("")), True))
+    rows = (
+        Row("a|b", (Cell("1"), Cell("2", best=True), Cell("3"))),
+        Row("c", (Cell("4"), Cell("5"), Cell("")), True),
+    )
     return Table(("x", "y", "z"), rows, (("First", 2), ("", 1)), "What it shows", "Method")
 
 
 def test_markdown_names_groups_and_escapes_bars(table):
     assert table.markdown().splitlines() == [
-        "| Method | First: x | First: y | z |", "| --- | --- | --- | --- |", r"| a\|b | 1 | 2 | 3 |", "| c | 4 | 5 |  |"]
+        "| Method | First: x | First: y | z |",
+        "| --- | --- | --- | --- |",
+        r"| a\|b | 1 | 2 | 3 |",
+        "| c | 4 | 5 |  |",
+    ]
     assert Table(("x",), ()).markdown() == "|  | x |\n| --- | --- |\n"
 
 
 def test_parts_are_the_groups(table):
     first, second = table.parts()
-    assert first.caption == "First" and first.columns == ("x", "y") and [len(row.cells) for row in first.rows] == [2, 2]
+    assert (
+        first.caption == "First"
+        and first.columns == ("x", "y")
+        and [len(row.cells) for row in first.rows] == [2, 2]
+    )
     assert second.columns == ("z",) and second.rows[1].label == "c" and second.rows[1].difference
 
 
@@ -39,16 +50,29 @@ def test_a_comparison_has_means_bests_and_differences():
     keys = ("box_psnr", "box_flip")
 
     def method(label, *figures):
-        images = [Measured(v, 1.0, dict(zip(keys, f, strict=True))) for v, f in zip(views, figures, strict=True)]
+        images = [
+            Measured(v, 1.0, dict(zip(keys, f, strict=True))) for v, f in zip(views, figures, strict=True)
+        ]
         return MethodResult(label, label, "", {}, images)
 
     results = Results({}, [method("A", (30, 0.1), (32, 0.2)), method("B", (27, 0.3), (27, None))])
     found = tables.comparison([("Here", results, "novel_view"), ("There", results, "train")], keys, "caption")
-    assert found.groups == (("Here", 2), ("There", 2)) and len(found.columns) == 4 and found.caption == "caption"
+    assert (
+        found.groups == (("Here", 2), ("There", 2)) and len(found.columns) == 4 and found.caption == "caption"
+    )
     a, b, gap = found.rows
-    assert [c.text for c in a.cells] == ["31.00", "0.1500", "–", "–"] and [c.best for c in a.cells] == [True, True, False, False]
+    assert [c.text for c in a.cells] == ["31.00", "0.1500", "–", "–"] and [c.best for c in a.cells] == [
+        True,
+        True,
+        False,
+        False,
+    ]
     assert [c.text for c in b.cells] == ["27.00", "0.3000", "–", "–"] and not any(c.best for c in b.cells)
-    assert gap.difference and gap.label == "A − B" and [c.text for c in gap.cells] == ["+4.00", "−0.1500", "–", "–"]
+    assert (
+        gap.difference
+        and gap.label == "A − B"
+        and [c.text for c in gap.cells] == ["+4.00", "−0.1500", "–", "–"]
+    )
 
 
 def test_figures_as_text():

@@ -17,21 +17,46 @@ def test_the_report_has_every_front_and_every_point(trade, page):
     assert len(page.charts) == len(groups(trade)) == 4
     rows = {row[0]: row[1:] for row in page.tables[0][1:]}
     assert list(rows) == [row.label + " †" * (row.key == "elsewhere") for row in trade.rows]
-    assert rows["usual samples"] == ["0.800", "0.400 – 1.200", "3", "30.00", "0.9000", "40.00", "31.00", "●", "", ""]
+    assert rows["usual samples"] == [
+        "0.800",
+        "0.400 – 1.200",
+        "3",
+        "30.00",
+        "0.9000",
+        "40.00",
+        "31.00",
+        "●",
+        "",
+        "",
+    ]
     assert rows["slow samples"][7] == "" and rows["elsewhere samples †"][7] == ""
-    assert rows["wide samples"][8] == "500 steps, 12 s" and rows["path samples"][3] == "–" and rows["path samples"][9] == "0.50 s"
-    for text in ("runs/a<b", "tiny", "24 × 20 pixels", "1 of novel views, 1 of novel poses", "a constant environment", "1 of these were"):
+    assert (
+        rows["wide samples"][8] == "500 steps, 12 s"
+        and rows["path samples"][3] == "–"
+        and rows["path samples"][9] == "0.50 s"
+    )
+    for text in (
+        "runs/a<b",
+        "tiny",
+        "24 × 20 pixels",
+        "1 of novel views, 1 of novel poses",
+        "a constant environment",
+        "1 of these were",
+    ):
         assert text in page.text, text
     assert "<code>volpath</code>" in page.source
 
 
 def test_pictures_of_every_group(trade, page):
-    # Truth, the converged picture, three points, and an error of all but the truth; against convergence, no error of it, either.
+    # Truth, the converged picture, three points, and an error of all but the truth; against convergence, no
+    # error of it, either.
     assert len(page.alts) == 2 * ((2 + 3 + 4) + (1 + 3 + 3) + (1 + 2 + 2) + (1 + 1 + 1))
 
 
 def test_the_table_is_also_a_file(trade, page, tmp_path):
     text = (tmp_path / "table.md").read_text(encoding="utf-8")
-    assert text == markdown(trade) and text.startswith(table(trade).markdown()) and "†" in text.splitlines()[-1]
+    assert (
+        text == markdown(trade) and text.startswith(table(trade).markdown()) and "†" in text.splitlines()[-1]
+    )
     trade.rows = [row for row in trade.rows if row.session == "now"]
     assert "†" not in markdown(trade)

@@ -20,7 +20,9 @@ def test_the_ends_and_the_knee_are_shown_in_a_view_of_each_split(rows):
     shown = ["Fastest: 8 samples", "Knee: 16 samples", "Best: usual samples"]
     first = labels(rows["Against the truth"][0])
     assert [label for label in first if not label.startswith("Error")] == ["Truth", "Converged", *shown]
-    assert [label for label in first if label.startswith("Error")] == [f"Error: {label}" for label in ("Converged", *shown)]
+    assert [label for label in first if label.startswith("Error")] == [
+        f"Error: {label}" for label in ("Converged", *shown)
+    ]
     # Each trained field has a converged picture of its own.
     assert "Converged" not in labels(rows["Other fields"][0])
     assert "Truth" not in labels(rows["Path tracing"][0]) and "Converged" in labels(rows["Path tracing"][0])
@@ -28,7 +30,12 @@ def test_the_ends_and_the_knee_are_shown_in_a_view_of_each_split(rows):
 
 def test_errors_are_against_what_the_group_compares_with(rows):
     def errors(title):
-        alts = [picture.alt for panel in rows[title][0].panels for picture in panel if picture.label.startswith("Error: Best")]
+        alts = [
+            picture.alt
+            for panel in rows[title][0].panels
+            for picture in panel
+            if picture.label.startswith("Error: Best")
+        ]
         return float(alts[0].split("mean ")[1].split(",")[0])
 
     assert errors("Against the truth") == pytest.approx(0.1, abs=0.01)

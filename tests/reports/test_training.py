@@ -23,14 +23,21 @@ def test_a_method_that_converged_early_stands_for_equal_time(results, add_method
 
 def test_times_of_all_methods(results):
     rows = {row.label: [cell.text for cell in row.cells] for row in training.times(results).rows}
-    assert rows == {"NDF": ["1 min 01 s", "1,000", "0.25 s"], "Mesh, to convergence": ["12 s", "100", "0.25 s"],
-                    "Gaussian <surprise>": ["–", "–", "0.25 s"]}
+    assert rows == {
+        "NDF": ["1 min 01 s", "1,000", "0.25 s"],
+        "Mesh, to convergence": ["12 s", "100", "0.25 s"],
+        "Gaussian <surprise>": ["–", "–", "0.25 s"],
+    }
 
 
 def test_curves_of_those_that_kept_one(results):
     alt = training.curves(results).alt
     # A mean squared error of 0.1 is 10 dB.
-    assert "NDF: from 10 at 0.1" in alt and "Mesh, to convergence: from 10 at 0.1" in alt and "surprise" not in alt
+    assert (
+        "NDF: from 10 at 0.1" in alt
+        and "Mesh, to convergence: from 10 at 0.1" in alt
+        and "surprise" not in alt
+    )
     for method in results.methods:
         method.metadata.pop("history", None)
     assert training.curves(results) is None
@@ -38,7 +45,10 @@ def test_curves_of_those_that_kept_one(results):
 
 def test_everything_that_a_method_reports_is_printed(results):
     facts = [training.metadata_fact(method) for method in results.methods]
-    assert facts[1].lines == ("seconds 12.5, steps 100, converged True", "training loss by learning rate: 0.1 0.002")
+    assert facts[1].lines == (
+        "seconds 12.5, steps 100, converged True",
+        "training loss by learning rate: 0.1 0.002",
+    )
     assert facts[2].lines == ("holes: count 3",)
     results.methods[2].metadata = {}
     assert training.metadata_fact(results.methods[2]).lines == ("–",)
