@@ -7,11 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ndf_mi import machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import protocols
-from ndf_mi.experiments.compare import extents
 from ndf_mi.experiments.core import SILENT, Progress, run_units
 from ndf_mi.experiments.evaluate import ImageSet, already_measured, measure
 from ndf_mi.experiments.records import MethodResult, Results
@@ -114,15 +112,10 @@ class AblationStudy:
 
     def _about(self, command: str) -> dict[str, Any]:
         preset, options = self._full
+        protocol, training = protocols.named(self._settings.protocol), options.to_dict()
         return {
-            "capture": {"name": self.capture.name, "digest": self.capture.digest, **extents(self.capture)},
-            "measured": self._images.counts(),
-            "protocol": protocols.named(self._settings.protocol).metadata(
-                options.to_dict(), self.capture, self._settings.max_images
-            ),
-            "settings": self._settings.to_dict(),
+            **self._images.about(self._settings.to_dict(), command),
+            "protocol": protocol.metadata(training, self.capture, self._settings.max_images),
             "preset": preset.to_dict(),
-            "training": options.to_dict(),
-            "command": command,
-            "machine": machine.describe(),
+            "training": training,
         }

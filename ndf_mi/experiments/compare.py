@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ndf_mi import machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import protocols
@@ -191,27 +190,10 @@ class Comparison:
         return float(seconds)
 
     def _about(self, command: str) -> dict[str, Any]:
-        protocol = protocols.named(self.settings.protocol)
+        protocol, training = protocols.named(self.settings.protocol), self._run.config.get("training")
         return {
             "run": str(self._run.path),
-            "capture": {
-                "name": self.capture.name, "path": str(self.capture.path), "digest": self.capture.digest,
-                **extents(self.capture),
-            },
-            "measured": self._images.counts(),
-            "protocol": protocol.metadata(
-                self._run.config.get("training"), self.capture, self.settings.max_images
-            ),
+            **self._images.about(asdict(self.settings), command),
+            "protocol": protocol.metadata(training, self.capture, self.settings.max_images),
             "equal_seconds": self._seconds,
-            "settings": asdict(self.settings),
-            "command": command,
-            "machine": machine.describe(),
         }
-
-
-def extents(capture: Capture) -> dict[str, dict[str, int]]:
-    """How many cameras and frames each split of a capture has."""
-    return {
-        name: {"cameras": len(split.cameras), "frames": len(split.frames)}
-        for name, split in capture.splits.items()
-    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import structs
 from PIL import Image
 
-from ndf_mi import files
+from ndf_mi import files, machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
@@ -104,6 +104,18 @@ class ImageSet:
         """How many images count in the means of each split that has some."""
         found = {split: sum(view.split == split for view in self.sampled()) for split in SPLITS}
         return {split: count for split, count in found.items() if count}
+
+    def about(self, settings: Mapping[str, Any], command: str) -> dict[str, Any]:
+        """JSON values that describe a study: capture, numbers of images, settings, command and machine."""
+        capture, splits = self.capture, self.capture.splits
+        extents = {name: {"cameras": len(s.cameras), "frames": len(s.frames)} for name, s in splits.items()}
+        return {
+            "capture": {"name": capture.name, "path": str(capture.path), "digest": capture.digest, **extents},
+            "measured": self.counts(),
+            "settings": dict(settings),
+            "command": command,
+            "machine": machine.describe(),
+        }
 
 
 def image_units(

@@ -154,16 +154,6 @@ def average(values: list[float | None]) -> float | None:
     return sum(defined) / len(defined) if defined else None
 
 
-def to_json(value: float | None) -> float | str | None:
-    """A figure as strict JSON holds it: infinity becomes "inf"."""
-    return "inf" if value == math.inf else value
-
-
-def from_json(value: float | str | None) -> float | None:
-    """The inverse of `to_json`."""
-    return None if value is None else float(value)
-
-
 def _same_shape(truth: np.ndarray, image: np.ndarray) -> None:
     if truth.shape != image.shape:
         raise ValueError(f"images of different shapes: truth {truth.shape}, image {image.shape}")

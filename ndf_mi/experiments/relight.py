@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ndf_mi import machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments.core import SILENT, Progress, run_units
@@ -91,7 +90,10 @@ class Relighting:
         self._stores = {
             name: Store(self.folder / f"{name}.json", f"relighting, {name} light") for name in LIGHTINGS
         }
-        self.results = {name: Results(self._about(name, run, command)) for name in LIGHTINGS}
+        self.results = {
+            name: Results({"run": os.fspath(run), **images.about(asdict(settings), command)})
+            for name, images in self._images.items()
+        }
 
     def pictures(self, lighting: str) -> Path:
         """The folder of the pictures under a light, one folder a method."""
@@ -126,15 +128,6 @@ class Relighting:
         run_units([unit], self._stores[SEEN], progress)
         ready()
         return mesh
-
-    def _about(self, lighting: str, run: str | os.PathLike[str], command: str) -> dict[str, object]:
-        capture = self.captures[lighting]
-        return {
-            "run": os.fspath(run),
-            "capture": {"name": capture.name, "path": str(capture.path), "digest": capture.digest},
-            "measured": self._images[lighting].counts(), "settings": asdict(self.settings),
-            "command": command, "machine": machine.describe(),
-        }
 
 
 def _held_out(capture: Capture, settings: Settings) -> ImageSet:
