@@ -35,7 +35,7 @@ NEGLIGIBLE_LOSS = 0.01
 #: Fraction of training rays drawn from the mask in runs that do not record it.
 MASK_SHARE = 0.5
 
-_UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0}
+_TIMES = {"ms": 1e-3, "s": 1.0, "min": 60.0}
 
 
 @dataclass(frozen=True)
@@ -68,80 +68,55 @@ class Choice:
             else f", {most}{self.loss:.2g} dB below what the run reaches on photographs")
         return (
             f"{s.samples} samples per ray, {rays} per pixel, rays followed to a transmittance of "
-            f"{s.cutoff:g}: expected to take "
-            f"{self.seconds:.3g} s, {least}{self.psnr:.1f} dB from convergence{loss}")
+            f"{s.cutoff:g}: expected to take {self.seconds:.3g} s, {least}{self.psnr:.1f} dB from "
+            f"convergence{loss}"
+        )
 
 
 def parse_seconds(text: str) -> float:
-    """Seconds of a time such as ``0.5s``, ``300ms`` or ``2min``.
-
-    Raises:
-        InputError: anything else.
-    """
-    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*(ms|s|min)\s*", text)
-    value = float(found[1]) * _UNITS[found[2]] if found else 0.0
-    if not 0 < value < math.inf:
-        raise InputError("--budget", repr(text), "a time above 0 such as 0.5s, 300ms or 2min")
-    return value
+    """Seconds of a time such as ``0.5s``, ``300ms`` or ``2min``. Raises InputError for anything else."""
+    return _parse("--budget", text, _TIMES, "a time above 0 such as 0.5s, 300ms or 2min")
 
 
 def parse_decibel(text: str) -> float:
-    """dB of a loss such as ``0.5dB``.
+    """dB of a loss such as ``0.5dB``. Raises InputError for anything else."""
+    return _parse("--error", text.lower(), {"db": 1.0}, "a loss above 0 such as 0.5dB")
 
-    Raises:
-        InputError: anything else.
-    """
-    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*dB\s*", text, re.IGNORECASE)
-    value = float(found[1]) if found else 0.0
+
+def _parse(option: str, text: str, units: dict[str, float], expected: str) -> float:
+    found = re.fullmatch(rf"\s*(\d+\.?\d*|\.\d+)\s*({'|'.join(units)})\s*", text)
+    value = float(found[1]) * units[found[2]] if found else 0.0
     if not 0 < value < math.inf:
-        raise InputError("--error", repr(text), "a loss above 0 such as 0.5dB")
+        raise InputError(option, repr(text), expected)
     return value
 
 
-@dataclass(frozen=True)
-class TrainingError:
-    """The mean squared error in sRGB of the rays that a training ended with.
+def training_error(run: Run, opacity: float) -> float | None:
+    """The mean squared error in sRGB that a training ended with, over the pixels of the body's box.
 
-    Attributes:
-        drawn: of all rays drawn; None where `box` is known.
-        box: of the rays drawn from the body's box, comparable to the error of images; None where the log does
-            not separate them.
-        mask_share: fraction of the rays that were drawn from pixels of the mask.
+    Logs of older versions do not separate the rays drawn from the box from those drawn from the mask. If a
+    fraction s was drawn from the mask, nearly all of the error being on the performer, the error over all
+    rays is (s + (1 − s) b) / b times that of the box.
+
+    Args:
+        run: the run; its training is taken from its configuration and log.
+        opacity: b, the fraction of the box's pixels that the performer covers.
+
+    Returns:
+        The error, or None if the run was not trained by quadrature or its log does not contain it.
     """
-
-    drawn: float | None
-    box: float | None
-    mask_share: float
-
-    def in_box(self, opacity: float) -> float:
-        """The error over the pixels of the body's box, of which the performer covers the fraction `opacity`.
-
-        If the log does not separate the rays, a fraction s was drawn from the mask and the rest from the box,
-        of which a fraction b is mask. Nearly all of the error is on the performer, so the error drawn is (s +
-        (1 − s) b) / b times that of the box. """
-        if self.box is not None:
-            return self.box
-        assert self.drawn is not None
-        s = self.mask_share
-        return self.drawn * opacity / (s + (1 - s) * opacity) if opacity > 0 else self.drawn
-
-
-def training_error(run: Run) -> TrainingError | None:
-    """The error that a run's training ended with; None if the run was not trained by quadrature or its log
-    does not contain it."""
     recorded = run.config.get("training")
     options = recorded if isinstance(recorded, dict) else {}
-    history = read_training_log(run.path) if options.get("integrator", QUADRATURE) == QUADRATURE else []
-    drawn, box = (
-        _mean_squared_error(history[-1].get(key)) if history else None for key in ("psnr", "box_psnr"))
-    share = options.get("mask_share")
-    return (
-        None if drawn is None and box is None
-        else TrainingError(drawn, box, share if is_finite(share) else MASK_SHARE))
-
-
-def _mean_squared_error(psnr: object) -> float | None:
-    return 10 ** (-psnr / 10) if is_finite(psnr) else None
+    if options.get("integrator", QUADRATURE) != QUADRATURE:
+        return None
+    last: dict[str, object] = next(reversed(read_training_log(run.path)), {})
+    drawn, box, share = last.get("psnr"), last.get("box_psnr"), options.get("mask_share")
+    if is_finite(box):
+        return 10 ** (-box / 10)
+    if not is_finite(drawn):
+        return None
+    s = share if is_finite(share) else MASK_SHARE
+    return 10 ** (-drawn / 10) * (opacity / (s + (1 - s) * opacity) if opacity > 0 else 1)
 
 
 def choose(
@@ -159,13 +134,12 @@ def choose(
         InputError: no setting is within `budget` or `error`; or an error is asked for and the run's own
             error, which it is relative to, is unknown.
     """
-    known = training_error(run)
-    if error is not None and known is None:
+    if error is not None and training_error(run, opacity=1.0) is None:
         raise InputError(
             run.path / FILE_NAME, "no final error of a training by quadrature",
             "one that --error can be relative to", "`--budget` works without it.")
     profile = load_or_measure(run, (camera.w, camera.h), geometry, report)
-    own = None if known is None else known.in_box(profile.opacity)
+    own = training_error(run, profile.opacity)
     # An error does not depend on how fast the machine is now.
     slowdown = pace(run, (camera.w, camera.h), geometry, profile) if budget is not None else 1.0
     if not 1 / (1 + PACE_CHANGE) <= slowdown <= 1 + PACE_CHANGE:
@@ -245,7 +219,8 @@ def render_choice(
     """Renders the image and reports the time that it took.
 
     An image that takes longer than expected by more than `TOLERANCE` has compiled kernels. It is rendered
-    again, so that the time reported is that of every further frame. """
+    again, so that the time reported is that of every further frame.
+    """
     times: list[float] = []
     for _ in range(2):
         start = clock()
@@ -259,10 +234,8 @@ def render_choice(
     if not 1 / (1 + TOLERANCE) <= ratio <= 1 + TOLERANCE:
         file = Key.of(run, (camera.w, camera.h), geometry).file
         report(
-            f"that is {ratio:.2g} times the expected time: other programs are using the machine, or were when "
-            "the profile was "
-            f"measured. Remove {file} to measure it again."
-        )
+            f"that is {ratio:.2g} times the expected time: other programs are using the machine, or were "
+            f"when the profile was measured. Remove {file} to measure it again.")
     return image
 
 

@@ -111,9 +111,9 @@ def test_errors_add_as_independent_ones():
 def test_training_error_is_that_of_the_last_rays_from_the_box(trained_run, make_run):
     last = json.loads((trained_run.path / "metrics.jsonl").read_text().splitlines()[-1])
     for opacity in (0.1, 0.9):
-        assert -10 * math.log10(training_error(trained_run).in_box(opacity)) == pytest.approx(
+        assert -10 * math.log10(training_error(trained_run, opacity)) == pytest.approx(
             last["box_psnr"])
-    assert training_error(make_run()) is None
+    assert training_error(make_run(), 0.5) is None
 
 
 @pytest.mark.parametrize(("share", "filled"), [(0.5, 0.38), (0.5, 1.0), (0.0, 0.4), (0.9, 0.1)])
@@ -130,7 +130,7 @@ def test_training_error_of_rays_that_were_not_separated(make_run, share, filled)
     run = make_run()
     run.config["training"] = {"mask_share": share}
     log_training(run, -10 * math.log10(drawn.mean()))
-    assert training_error(run).in_box(filled) == pytest.approx(of_pixel.mean(), rel=0.02)
+    assert training_error(run, filled) == pytest.approx(of_pixel.mean(), rel=0.02)
 
 
 def log_training(run, psnr=30.0):
