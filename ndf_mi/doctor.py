@@ -1,6 +1,4 @@
-"""Examines the machine: variants, LLVM, GPU, body data, memory and packages. Runs also where Mitsuba and
-Dr.Jit are broken.
-"""
+"""Examines the machine and its packages, also where Mitsuba and Dr.Jit are broken."""
 
 from __future__ import annotations
 
@@ -64,9 +62,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Examines everything that the package depends on. Takes some seconds: each variant renders a picture in
-    its own process.
-    """
+    """Examines all that the package depends on. Takes some seconds: each variant renders a picture."""
     return [
         *_packages(),
         *_extras(),
@@ -88,9 +84,7 @@ def healthy(findings: Sequence[Finding]) -> bool:
 
 
 def probe(variant: str) -> str:
-    """Renders a few pixels with ``variant`` in its own process; returns an empty string, or what went wrong
-    in one line.
-    """
+    """Renders a few pixels in a process of its own; returns what went wrong in one line, or ``""``."""
     try:
         result = subprocess.run(
             [sys.executable, "-c", PROBE, variant], capture_output=True, text=True, timeout=PROBE_SECONDS

@@ -1,6 +1,4 @@
-"""Writes files atomically: next to the target, then renamed into place, so that no reader sees half a
-file.
-"""
+"""Writes files atomically: next to the target, then renamed into place."""
 
 from __future__ import annotations
 
@@ -23,8 +21,7 @@ os.umask(_UMASK)
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yields a temporary path next to ``path``, with the same suffix; renames it to ``path`` if the block
-    succeeds.
+    """Yields a temporary path next to ``path``; renames it to ``path`` if the block succeeds.
 
     On an exception the temporary file is removed and ``path`` stays unchanged. Missing parent folders are
     created.

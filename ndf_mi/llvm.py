@@ -77,8 +77,7 @@ def version_of(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
 
 
 def version_in_name(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
-    """The version in a file name such as ``libLLVM-15.so.1``, ``libLLVM.so.19.1`` or ``libLLVM-14.0.6.so``;
-    or None.
+    """The version in a name such as ``libLLVM-15.so.1`` or ``libLLVM.so.19.1``; or None.
 
     Links are followed, since ``libLLVM.so`` alone has no version; a folder such as ``llvm-14/lib`` counts
     too.

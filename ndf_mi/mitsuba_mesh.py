@@ -57,9 +57,7 @@ def set_faces(parameters: mi.SceneParameters, faces: np.ndarray, shape: str = ""
 
 
 def triangles(shape: mi.Shape) -> tuple[np.ndarray, np.ndarray] | None:
-    """(V, 3) vertices and (F, 3) indices of a triangle mesh, whichever plugin made it; None for any other
-    shape.
-    """
+    """(V, 3) vertices and (F, 3) indices of any triangle mesh; None for any other shape."""
     parameters = mi.traverse(shape)
     if "positions" in parameters and "faces" in parameters:
         return parameters["positions"].numpy(), np.array(shape.geometric_faces()).reshape(-1, 3)

@@ -1,6 +1,4 @@
-"""Packages that only some of the work needs: they come with the extras of ``ndf-mi``, as in ``pip install
-"ndf-mi[video]"``.
-"""
+"""Packages that only some of the work needs, installed by extras such as ``ndf-mi[video]``."""
 
 from __future__ import annotations
 
@@ -39,9 +37,7 @@ def install_command(extra: str) -> str:
 
 
 def requirements() -> dict[str, list[str]]:
-    """The packages that ndf-mi needs (under ``""``) and those that each of its extras adds, by the extra's
-    name.
-    """
+    """The packages that ndf-mi needs, under ``""``, and those that each extra adds, under its name."""
     found: dict[str, list[str]] = {}
     for line in importlib.metadata.requires(DISTRIBUTION) or []:
         extra = re.search(r"extra\s*==\s*[\"']([\w-]+)", line)

@@ -46,8 +46,7 @@ def load_pickle(path: str | os.PathLike[str]) -> Any:
 
 
 def load_npy(path: str | os.PathLike[str]) -> Any:
-    """Reads a ``.npy`` file: an array, or the object pickled into it (usually a dict), as `load_pickle`
-    returns it.
+    """Reads a ``.npy`` file: an array, or the pickled object in it, as `load_pickle` returns it.
 
     Raises:
         InputError: as `load_pickle`; or the file is not a ``.npy`` file.

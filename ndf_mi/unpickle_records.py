@@ -1,5 +1,4 @@
-"""What the names in a pickle stand for: inert records, and the arrays that are built from them once the
-pickle has been read.
+"""What the names in a pickle stand for: inert records, from which arrays are built later.
 
 A pickle can call what it names with any arguments, and set any state on the result. NumPy's and SciPy's own
 functions trust both: with a crafted state, an array reads outside its memory. Here every name is a class
@@ -133,9 +132,7 @@ def dtype(record: Record, build: Build) -> np.dtype[Any]:
 
 @_record
 def reconstruct(record: Record, build: Build) -> np.ndarray:
-    """``numpy.core.multiarray._reconstruct``: an empty array, whose state is (version, shape, dtype, Fortran
-    order, data).
-    """
+    """``numpy.core.multiarray._reconstruct``; state: (version, shape, dtype, Fortran order, data)."""
     if not isinstance(record.state, tuple) or len(record.state) not in (4, 5):
         raise Malformed("an array without contents")
     shape, kind, fortran, data = record.state[-4:]
@@ -144,9 +141,7 @@ def reconstruct(record: Record, build: Build) -> np.ndarray:
 
 @_record
 def from_buffer(record: Record, build: Build) -> np.ndarray:
-    """``numpy.core.numeric._frombuffer``: (data, dtype, shape, order), an array in pickle's fifth
-    protocol.
-    """
+    """``numpy.core.numeric._frombuffer``: (data, dtype, shape, order), in pickle's protocol 5."""
     data, kind, shape, order = _arguments(record, 4)
     return _array(build, data, kind, shape, "F" if order == "F" else "C")
 
@@ -204,9 +199,7 @@ def chumpy_array(record: Record, build: Build) -> np.ndarray:
 
 @_record
 def chumpy_select(record: Record, build: Build) -> np.ndarray:
-    """``chumpy.reordering.Select``: the entries ``idxs`` of ``a``, row by row, in ``preferred_shape`` if it
-    has one.
-    """
+    """``chumpy.reordering.Select``: the entries ``idxs`` of ``a``, in ``preferred_shape`` if given."""
     state = _attributes(record.state)
     values = _values(build, state, "a").ravel()
     chosen = _whole(np.asarray(build(state.get("idxs")))).ravel()
@@ -239,9 +232,7 @@ def empty_bytes(record: Record, build: Build) -> bytes:
 
 @_record
 def rebuilt(record: Record, build: Build) -> Any:
-    """``copy_reg._reconstructor(class, object, None)``: an object in pickle's first two protocols; its state
-    follows.
-    """
+    """``copy_reg._reconstructor(class, object, None)``: an object in protocols 0 and 1."""
     kind = record.arguments[0] if record.arguments else None
     if not (isinstance(kind, type) and issubclass(kind, Record) and kind is not rebuilt):
         raise Malformed("an object of no class that is known")
@@ -309,9 +300,7 @@ def admitted(module: str, name: str) -> type[Record] | None:
 
 
 def _array(build: Build, data: Any, kind: Any, shape: Any, order: Any) -> np.ndarray:
-    """An array with its own memory from bytes (latin1 text, if Python 2 wrote them) or, for objects, from a
-    list.
-    """
+    """An array with its own memory from bytes (or latin1 text) or, for objects, from a list."""
     if not isinstance(kind, dtype) or not _is_shape(shape):
         raise Malformed("an array without a shape or a type")
     made, count = kind.make(build), math.prod(shape)

@@ -45,8 +45,7 @@ _DECIMETRES = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Garment:
-    """A surface that the body's rig moves: clothes, hair, eyes. N vertices, F triangles, U texture
-    coordinates.
+    """A surface that the body's rig moves: clothes, hair, eyes. N vertices, F triangles, U UVs.
 
     Attributes:
         name: the group's name, ``helper-skirt`` and so on.
@@ -179,9 +178,7 @@ def _read_model(data: Path) -> _Model:
 
 
 def _shapes(count: int, target: Callable[[str], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """(count, 3) offsets from the base mesh to the average adult, and (count, 3, 6) directions of
-    `SHAPE_NAMES`.
-    """
+    """(count, 3) offsets to the average adult, and (count, 3, 6) directions of `SHAPE_NAMES`."""
     sexes = ("female", "male")
 
     def mean(pattern: str, over: Iterable[str] = sexes) -> np.ndarray:
@@ -208,9 +205,7 @@ def _shapes(count: int, target: Callable[[str], np.ndarray]) -> tuple[np.ndarray
 
 
 def _target(folder: Path, count: int, name: str) -> np.ndarray:
-    """(count, 3) float64 offsets of a blend shape, from lines of ``vertex dx dy dz``, decimetres; zero for
-    other vertices.
-    """
+    """(count, 3) float64 offsets of a blend shape, decimetres, from lines of ``vertex dx dy dz``."""
     text = gzip.decompress((folder / f"{name}.target.gz").read_bytes()).decode("ascii")
     lines = np.fromstring(text, sep=" ").reshape(-1, 4)
     offsets = np.zeros((count, 3))
@@ -228,9 +223,7 @@ def _ordered(rig: dict[str, dict]) -> tuple[str, ...]:
 
 
 def _strategy(head: dict, groups: dict[str, Group], count: int) -> np.ndarray:
-    """(count,) a row of the joint regressor: the centre of a cube, the mean of some vertices, or one
-    vertex.
-    """
+    """(count,) a row of the joint regressor: a cube's centre, the mean of vertices, or one vertex."""
     if head["strategy"] == "CUBE":
         chosen = np.unique(groups[head["cube_name"]].faces)
     elif head["strategy"] == "MEAN":

@@ -91,9 +91,7 @@ def floats(where: str, array: np.ndarray, shape: Sequence[int | None]) -> np.nda
 
 
 def indices(where: str, array: np.ndarray, shape: Sequence[int | None], low: int, high: int) -> np.ndarray:
-    """``array`` as contiguous int32, checked against ``shape`` and ``low <= value < high``; errors as
-    `floats`.
-    """
+    """``array`` as contiguous int32, checked for ``shape`` and ``low <= value < high``, as `floats`."""
     array = np.asarray(array)
     if array.dtype.kind not in "iu":
         raise InputError(where, f"type {array.dtype}", "int32")

@@ -1,5 +1,4 @@
-"""A one-piece atlas for any body: the surface is cut along a seam and flattened into one chart without
-overlaps.
+"""A one-piece atlas for any body: cut along a seam and flattened into one chart.
 
 A surface with several connected components gets a chart for each, side by side in the unit square at one
 scale. Flattening needs the extra ``atlas``.
@@ -30,8 +29,7 @@ _LEAST_AREA = 1e-12
 
 
 def one_piece(vertices: np.ndarray, faces: np.ndarray, front: Sequence[float] = FRONT) -> Atlas:
-    """Cuts a surface open and flattens it: one chart for each connected component, no flipped triangle, no
-    overlap.
+    """Cuts a surface open and flattens it: a chart for each component, without flips and overlaps.
 
     The same input gives the same atlas. Coordinates are multiples of 2⁻²⁴, for which `check_atlas` is exact.
     It takes about 20 seconds for 27,000 triangles.
@@ -124,9 +122,7 @@ def _split(
 
 
 def _attempts(points: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray]:
-    """Flat maps, each with less distortion than the one before. The first maps onto a disk and cannot
-    overlap.
-    """
+    """Flat maps, each with less distortion than the one before; the first cannot overlap."""
     flat = atlas_flatten.start(points, faces)
     if flat is not None:
         yield flat

@@ -32,8 +32,7 @@ class Atlas:
 
 @dataclass(frozen=True)
 class AtlasReport:
-    """The quality of an atlas. Distortion is measured at the scale where chart and surface have the same
-    area.
+    """The quality of an atlas. Distortion is measured at the scale of equal areas.
 
     Attributes:
         components: connected components of the surface.
@@ -104,9 +103,7 @@ def check_atlas(vertices: np.ndarray, faces: np.ndarray, atlas: Atlas) -> AtlasR
 
 
 def open_edges(corners: np.ndarray, opposite: np.ndarray) -> np.ndarray:
-    """The half-edges, (3F,) bool, along which the two triangles have different texture coordinates
-    ``corners``, (F, 3).
-    """
+    """(3F,) bool: half-edges whose triangles have different UVs ``corners``, (F, 3), along them."""
     names = corners.ravel()
     h = np.nonzero(opposite >= 0)[0]
     cut = np.zeros(len(names), bool)
@@ -143,9 +140,7 @@ def overlapping(corners: np.ndarray) -> np.ndarray:
 
 
 def _separated(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """(P,) whether an edge of each counter-clockwise triangle, (P, 3, 2), has all of the other triangle on
-    its right.
-    """
+    """(P,) whether an edge of each counter-clockwise triangle, (P, 3, 2), has the other on its right."""
     along = np.roll(one, -1, axis=1) - one
     to = other[:, None] - one[:, :, None]
     side = along[:, :, None, 0] * to[..., 1] - along[:, :, None, 1] * to[..., 0]
@@ -172,9 +167,7 @@ def _candidates(corners: np.ndarray, chosen: np.ndarray) -> Iterator[np.ndarray]
 
 
 def _cells(low: np.ndarray, high: np.ndarray, level: int) -> tuple[np.ndarray, np.ndarray]:
-    """The triangle and key of every cell of size 2^-level that a box touches; boxes are no larger than a
-    cell.
-    """
+    """The triangle and key of every cell of size 2^-level that a box, no larger than it, touches."""
     first, last = (np.floor(x * 2.0**level).astype(np.int64) for x in (low, high))
     x = np.stack([first[:, 0], last[:, 0], first[:, 0], last[:, 0]], axis=1)
     y = np.stack([first[:, 1], first[:, 1], last[:, 1], last[:, 1]], axis=1)

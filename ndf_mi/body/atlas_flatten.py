@@ -1,5 +1,4 @@
-"""Flattens a disk: a map onto a circle that cannot fold, then libigl's scaffold method, which reduces
-distortion.
+"""Flattens a disk: a map onto a circle that cannot fold, then libigl's scaffold method.
 
 The scaffold method (Jiang, Schaefer and Panozzo, "Simplicial complex augmentation framework for bijective
 maps", SIGGRAPH Asia 2017) also triangulates the space around the chart. While the symmetric Dirichlet energy
@@ -73,8 +72,7 @@ def start(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:
 
 
 def relaxed(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> Iterator[np.ndarray]:
-    """Maps with less and less symmetric Dirichlet energy, (V, 2) float64 each, from a first one without
-    flips.
+    """Maps with ever lower symmetric Dirichlet energy, (V, 2) float64, from one without flips.
 
     The boundary is free. It ends when three iterations gain less than a thousandth, or after 75 iterations.
     """
@@ -99,9 +97,7 @@ def relaxed(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> Iterator
 
 
 def stretches(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> np.ndarray:
-    """(F, 2) float64 singular values of each triangle's map from the surface to the plane, the larger
-    first.
-    """
+    """(F, 2) float64 singular values of each triangle's map to the plane, the larger first."""
     a, b = np.moveaxis(points[faces[:, 1:]] - points[faces[:, :1]], 1, 0)
     along = a / np.linalg.norm(a, axis=1, keepdims=True)
     x = np.einsum("ij,ij->i", b, along)

@@ -52,8 +52,7 @@ def opposites(faces: np.ndarray, where: str = "faces") -> np.ndarray:
 
 
 def vertices_after_cut(opposite: np.ndarray, cut: np.ndarray) -> np.ndarray:
-    """Numbers the vertices after the half-edges ``cut``, (3F,) bool, are cut open: (F, 3) int64, corner by
-    corner.
+    """(F, 3) int64 vertices of each corner after the half-edges ``cut``, (3F,) bool, are cut open.
 
     Corners stay one vertex if a fan of triangles joins them across edges that are not cut. Without a cut,
     this splits the vertices where a surface only touches itself.
@@ -75,9 +74,7 @@ def components(opposite: np.ndarray, cut: np.ndarray | None = None) -> np.ndarra
 
 
 def boundary_loops(faces: np.ndarray, opposite: np.ndarray) -> list[np.ndarray]:
-    """The vertices of each boundary loop, in the direction of the half-edges. Every vertex must have one fan
-    of triangles.
-    """
+    """The vertices of each boundary loop, along its half-edges; every vertex must have one fan."""
     edge = np.nonzero(opposite < 0)[0]
     corners = faces.ravel()
     after = dict(zip(corners[edge].tolist(), corners[following(edge)].tolist(), strict=True))
@@ -93,17 +90,13 @@ def boundary_loops(faces: np.ndarray, opposite: np.ndarray) -> list[np.ndarray]:
 
 
 def euler_characteristic(faces: np.ndarray, opposite: np.ndarray) -> int:
-    """V - E + F: 2 for a sphere, 1 for a disk; two less for each handle, one less for each further boundary
-    loop.
-    """
+    """V - E + F: 2 for a sphere; two less for each handle, one less for each boundary loop."""
     edges = (len(opposite) + int((opposite < 0).sum())) // 2
     return len(np.unique(faces)) - edges + len(faces)
 
 
 def doubled_areas(corners: np.ndarray) -> np.ndarray:
-    """Twice the areas of triangles with corners (F, 3, 2) or (F, 3, 3); in the plane, signed by
-    orientation.
-    """
+    """Twice the areas of triangles, (F, 3, 2) or (F, 3, 3); in the plane, signed by orientation."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     if corners.shape[2] == 2:
         return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -11,8 +11,7 @@ MARGIN = 1 / 256
 
 
 def pack(charts: list[np.ndarray]) -> np.ndarray:
-    """The vertices of all charts in order, (ΣU, 2) in [0, 1]: the charts are rotated, and placed in rows by
-    height.
+    """The vertices of all charts, (ΣU, 2) in [0, 1]: rotated, and placed in rows by height.
 
     Charts are rotated so that the square, or else the rectangle, around each is smallest, whichever packs
     better.
@@ -36,9 +35,7 @@ def pack(charts: list[np.ndarray]) -> np.ndarray:
 
 
 def _turned(flat: np.ndarray, measure: Callable[[np.ndarray], float]) -> np.ndarray:
-    """Rotates a chart, (U, 2), by the whole degree with the least measure of its sides; upright, from 0
-    upwards.
-    """
+    """Rotates a chart, (U, 2), by the degree with the least measure of its sides; from 0, upright."""
     angles = np.deg2rad(np.arange(90.0))
     cosine, sine = np.cos(angles), np.sin(angles)
     turns = np.stack([cosine, -sine, sine, cosine], axis=1).reshape(-1, 2, 2)
@@ -49,9 +46,7 @@ def _turned(flat: np.ndarray, measure: Callable[[np.ndarray], float]) -> np.ndar
 
 
 def _spread(sizes: np.ndarray, order: np.ndarray, gap: float) -> tuple[np.ndarray, float]:
-    """Positions of the boxes, (N, 2), with free space around each, and the side of the smallest square
-    found.
-    """
+    """Positions of boxes, (N, 2), with free space around each, and the side of the smallest square."""
     widest = float(sizes[:, 0].max())
     widths = np.unique(np.r_[widest, np.geomspace(widest, max(float(sizes[:, 0].sum()), widest), 24)])
     tried = [_rows(sizes, order, gap, float(width) * (1 + 1e-9) + (len(sizes) + 1) * gap) for width in widths]

@@ -1,5 +1,4 @@
-"""Chooses the seam along which a surface is cut, so that it becomes a disk that can be flattened with its
-limbs.
+"""Chooses the seam along which a surface is cut into a disk that can be flattened.
 
 The seam starts as a tree of shortest paths between the boundary loops, with loops that open every handle;
 these come from the tree and the remaining edges of its cotree (Erickson and Whittlesey, "Greedy optimal
@@ -29,9 +28,7 @@ LEAST_PERIMETER = 0.5
 that of a ball with a small hole."""
 
 HIDDEN = 0.15
-"""Fraction of directions from which a vertex must be visible to count as squeezed: the inside of a mouth may
-be small.
-"""
+"""A squeezed vertex must be visible from this fraction of directions; mouths may stay small."""
 
 _ROUNDS = 16
 _DIRECTIONS = 64
@@ -152,9 +149,7 @@ class _Seam:
         self.cut[[h, self._opposite[h]]] = True
 
     def open_handles(self) -> None:
-        """Adds the 2g loops of a tree-cotree decomposition: edges in neither tree, with their paths to the
-        seam.
-        """
+        """Adds the 2g loops of a tree-cotree decomposition: edges in neither tree, with their paths."""
         far, before = self._paths()
         tree = np.zeros(len(self._h), bool)
         for vertex in np.nonzero(before >= 0)[0].tolist():
@@ -203,8 +198,7 @@ def _squeezed_tips(
 
 
 def openness(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V,) the fraction of 64 directions from which each vertex is visible, in [0, 0.5], from depth maps of
-    surface samples.
+    """(V,) the fraction of 64 directions from which each vertex is visible, in [0, 0.5].
 
     This is an estimate: a vertex counts as hidden if the surface in its cell, a mean edge wide, is more than
     a cell nearer. Slanting views are lost, so that a ball gets about 0.3.

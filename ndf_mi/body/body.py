@@ -14,9 +14,7 @@ from ndf_mi.body import arrays
 from ndf_mi.errors import InputError
 
 MODEL = ("template", "joints", "joint_names", "parents", "weights")
-"""The fields that skinning needs. Without them a body is only a mesh, whose vertices come from
-``poses.npz``.
-"""
+"""The fields that skinning needs. Without them a body is a mesh with vertices in ``poses.npz``."""
 
 
 @dataclass(frozen=True, eq=False)

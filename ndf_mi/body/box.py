@@ -11,8 +11,6 @@ comparable."""
 
 
 def padded_box(vertices: np.ndarray, padding: float = BOX_PADDING) -> tuple[np.ndarray, np.ndarray]:
-    """The lower and upper corner, (3,) float64 each, of the box of `vertices` (V, 3), grown by `padding`
-    metres.
-    """
+    """Lower and upper corner, (3,) float64, of the box of `vertices` (V, 3), grown by `padding` metres."""
     points = np.asarray(vertices, dtype=np.float64)
     return points.min(axis=0) - padding, points.max(axis=0) + padding

@@ -18,8 +18,7 @@ _CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A motion of J joints over T frames, in the file's own length unit, y up. Parents precede their
-    children.
+    """A motion of J joints over T frames, in the file's unit, y up. Parents precede their children.
 
     Attributes:
         name: the clip's name in messages.
@@ -50,8 +49,7 @@ class Clip:
         return (len(self) - 1) * self.frame_time
 
     def at(self, times: np.ndarray) -> Clip:
-        """The clip at ``times``, (T',) seconds after its first frame: linear in positions, shortest arc in
-        rotations.
+        """The clip at ``times``, (T',) seconds: linear in positions, on the shortest arc in rotations.
 
         The result's ``frame_time`` is the mean step of ``times``.
 

@@ -6,8 +6,7 @@ import numpy as np
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) unit normals: the mean of the normals of the triangles around each vertex, weighted by their
-    areas.
+    """(V, 3) unit normals: the mean of the normals of adjacent triangles, weighted by their areas.
 
     The normal is zero where a vertex has no triangle, or where those around it cancel out.
 

@@ -148,9 +148,7 @@ def frame_times(duration: float, fps: float) -> np.ndarray:
 
 def require_finite(where: str, values: np.ndarray, names: Sequence[str],
                    frames: Sequence[int] | np.ndarray | None = None) -> None:
-    """Raises InputError, naming frame and joint, unless all of ``values``, (T, J, 3) for joints ``names``,
-    are finite.
-    """
+    """Raises InputError, with frame and joint, unless ``values``, (T, J, 3) of ``names``, are finite."""
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         row, joint, axis = bad[0]
@@ -194,9 +192,7 @@ def _match(body: Body, clip: Clip) -> list[int]:
 def _alignment(
     body: Body, clip: Clip, joints: np.ndarray, columns: list[int], alike: Collection[str]
 ) -> np.ndarray:
-    """(J, 3, 3) rotations from the body's rest pose to the clip's, limb by limb; each joint inherits its
-    parent's.
-    """
+    """(J, 3, 3) rotations from the body's rest pose to the clip's; each joint inherits its parent's."""
     rest = np.zeros((len(clip.parents), 3))
     for j, p in enumerate(clip.parents):
         rest[j] = clip.offsets[j] + (rest[p] if p >= 0 else 0)
@@ -213,9 +209,7 @@ def _alignment(
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The smallest rotation that turns ``a`` to the direction of ``b``; the identity if either has no
-    length.
-    """
+    """The smallest rotation from ``a`` to the direction of ``b``; the identity if one has no length."""
     lengths = np.linalg.norm(a) * np.linalg.norm(b)
     axis = np.cross(a, b)
     sine = np.linalg.norm(axis)

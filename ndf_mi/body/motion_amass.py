@@ -1,5 +1,4 @@
-"""Motion in AMASS's layout: ``poses`` of SMPL, SMPL-H or SMPL-X, ``trans``, a frame rate and optionally
-``betas``.
+"""Motion in AMASS's layout: ``poses`` of SMPL, SMPL-H or SMPL-X, ``trans``, frame rate, ``betas``.
 
 The file's vertical is z, as in AMASS, or y; it becomes y. SMPL turns the body about its root joint, R·(X -
 J_0) + J_0 + trans, where R comes from the first three numbers of ``poses`` (Loper et al. 2015). Here the body

@@ -160,9 +160,7 @@ def _check_joints(path: Path, pose: np.ndarray, body: Body, reference: Poses, th
 
 
 def _same_body(poses: Poses, reference: Poses, body: Body, theirs: Body | None) -> bool:
-    """Whether the vertices of ``poses`` are those of the run's body: as many, of the same shape and, if
-    known, template.
-    """
+    """Whether ``poses`` have the vertices of the run's body: number, shape and, if known, template."""
     if poses.vertices.shape[1] != reference.vertices.shape[1]:
         return False
     if not _equal(poses.shape, reference.shape):

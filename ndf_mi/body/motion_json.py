@@ -59,8 +59,7 @@ Track = tuple[list[float], list[np.ndarray]]
 def play_json(
     body: Body, path: str | os.PathLike[str], fps: float | None = None, *, shape: np.ndarray | None = None
 ) -> tuple[Motion, float]:
-    """Plays the keyframes of a file on a body; also returns the frames a second: ``fps``, or the file's own,
-    or 30.
+    """Plays a file's keyframes on a body; also returns frames a second: ``fps``, the file's or 30.
 
     Raises:
         InputError: the file is not JSON, or has an unknown key, a joint that the body lacks, times that do

@@ -1,5 +1,4 @@
-"""SMPL's joints: names, tree and a skeleton in the template's rest pose, and their counterparts in the
-``cmu_mb`` rig.
+"""SMPL's joints: names, tree, a skeleton at rest, and their counterparts in the ``cmu_mb`` rig.
 
 =============================================  ===============================================
 joint of the ``cmu_mb`` rig                    joint of SMPL
@@ -94,8 +93,7 @@ def smpl_names(body: Body) -> tuple[str, ...] | None:
 
 
 def as_cmu_rig(body: Body, clip: Clip) -> tuple[Body, Clip]:
-    """An SMPL body and a clip for it, with the joint names of the ``cmu_mb`` rig; any other body and its clip
-    unchanged.
+    """An SMPL body and its clip with the joint names of the ``cmu_mb`` rig; others unchanged.
 
     If the clip has all of the body's joints under the body's own names, they are renamed too; otherwise the
     clip has the rig's names already.
@@ -134,9 +132,7 @@ def cmu_clip(clip: Clip) -> Clip:
 
 
 def _rest_positions(names: list[str], above: dict[str, str]) -> dict[str, np.ndarray]:
-    """Rest positions of the rig's joints. A joint without a counterpart is where its parent is, a finger
-    beyond the hand.
-    """
+    """Rest positions of the rig; joints without a counterpart are at their parent's, fingers beyond."""
     rest: dict[str, np.ndarray] = {}
     for name in names:
         joint = COUNTERPARTS.get(name)

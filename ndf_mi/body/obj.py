@@ -14,9 +14,7 @@ Corner = tuple[int, int]
 
 @dataclass(frozen=True)
 class Group:
-    """The triangles of a ``g`` group: (F, 3) indices of vertices and, corner by corner, (F, 3) of texture
-    coordinates.
-    """
+    """The triangles of a ``g`` group: (F, 3) indices of vertices, and (F, 3) of UVs."""
 
     faces: np.ndarray
     uv_faces: np.ndarray

@@ -74,9 +74,7 @@ class Poses:
         return row
 
     def check(self, body: Body, where: str = "poses") -> None:
-        """Raises InputError unless the numbers of vertices, joints and shape coefficients are those of
-        ``body``.
-        """
+        """Raises InputError unless vertices, joints and shape coefficients match those of ``body``."""
         used = int(body.faces.max()) + 1
         have = self.vertices.shape[1]
         if body.template is not None and have != len(body.template):

@@ -233,9 +233,7 @@ def _data(array: np.ndarray) -> mi.Float:
 
 
 def _values(name: str, value: Any, count: int) -> mi.Float:
-    """``value`` as a flat mi.Float of ``count`` values. It is data, not a literal, so that no kernel bakes it
-    in.
-    """
+    """``value`` as a flat mi.Float of ``count`` values, opaque so that no kernel bakes it in."""
     flat = value.array if isinstance(value, mi.TensorXf) else value
     if not isinstance(flat, mi.Float):
         if not dr.is_jit_v(flat):

@@ -112,9 +112,7 @@ def _dense(path: Path, key: str, found: dict[str, Any], shape: tuple[int | None,
 
 
 def _parents(where: str, table: np.ndarray, count: int) -> np.ndarray:
-    """(J,) indices of the parents. The first row of the table names each joint's parent, the second the joint
-    itself.
-    """
+    """(J,) parents, from a table of each joint's parent (first row) and the joint itself."""
     arrays.check_shape(where, table, (2, count))
     if table.dtype.kind not in "iu":
         raise InputError(where, f"type {table.dtype}", "whole numbers")

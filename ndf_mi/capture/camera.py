@@ -99,8 +99,7 @@ class Camera:
         return (np.asarray(points, dtype=np.float64) - transform[:3, 3]) @ transform[:3, :3]
 
     def rays(self, pixels: mi.Point2f) -> mi.Ray3f:
-        """World rays of unit direction through pixel coordinates; (0.5, 0.5) is the centre of the top left
-        pixel.
+        """World rays of unit direction through pixels; (0.5, 0.5) is the centre of the top left one.
 
         Intrinsics and pose are opaque values, so that one kernel serves all cameras.
 

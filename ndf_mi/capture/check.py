@@ -107,8 +107,7 @@ def _image_issues(
 
 
 def fraction_on_mask(camera: Camera, vertices: np.ndarray, mask: np.ndarray) -> float:
-    """The fraction of a body's vertices in the image that fall on the mask or next to it; 0 if none is in the
-    image.
+    """The fraction of a body's vertices in the image that are on or next to the mask; 0 for none.
 
     Args:
         vertices: (V, 3) world positions.

@@ -114,9 +114,7 @@ class Imported:
 
 @dataclass(frozen=True)
 class Document:
-    """The contents of ``capture.json``. Cameras may have distortion; patterns take ``camera`` and
-    ``frame``.
-    """
+    """The contents of ``capture.json``; cameras may be distorted. Patterns take ``camera``, ``frame``."""
 
     name: str
     background: tuple[float, float, float]

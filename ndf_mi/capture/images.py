@@ -1,6 +1,4 @@
-"""The PNG files of a capture, 8-bit sRGB images and one-channel masks: reading, checking, writing,
-undistorting.
-"""
+"""The PNG files of a capture: reads, checks, writes and undistorts 8-bit images and masks."""
 
 from __future__ import annotations
 
@@ -85,9 +83,7 @@ def undistort_mask(mask: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def source_positions(camera: Camera) -> np.ndarray:
-    """(2, h, w) row and column in the camera's image, 0 at a pixel's centre, for each pixel of
-    ``camera.pinhole()``.
-    """
+    """(2, h, w) row and column, 0 at a pixel's centre, that a pixel of ``camera.pinhole()`` sees."""
     ideal = camera.pinhole()
     rows, columns = np.mgrid[0 : ideal.h, 0 : ideal.w] + 0.5
     normalised = np.stack([(columns - ideal.cx) / ideal.fl_x, (rows - ideal.cy) / ideal.fl_y], axis=-1)

@@ -1,6 +1,4 @@
-"""Pixels and their rays in numpy, float64: for sampling pixels and for masks of boxes, where no kernel is
-needed.
-"""
+"""Pixels and their rays in numpy, float64: for sampling and masks, where no kernel is needed."""
 
 from __future__ import annotations
 
@@ -25,9 +23,7 @@ def pixel_rays(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def box_pixels(camera: Camera, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """(h, w) bool mask of the pixels whose ray meets the axis-aligned box [low, high] in front of the
-    camera.
-    """
+    """(h, w) bool: pixels whose ray meets the box [low, high] in front of the camera."""
     origin, direction = pixel_rays(camera, np.arange(camera.w * camera.h))
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (low[:, None] - origin) / direction, (high[:, None] - origin) / direction

@@ -1,3 +1,1 @@
-"""Readers of other layouts (ZJU-MoCap, DynaCap); `importing.import_capture` converts what they find into a
-capture.
-"""
+"""Readers of other layouts; `importing.import_capture` converts what they find into a capture."""

@@ -38,9 +38,7 @@ _NEAREST = 50.0
 
 @dataclass(frozen=True, eq=False)
 class Annotations:
-    """The contents of ``annots.npy``: cameras in its order; images by rows (moments) and columns
-    (cameras).
-    """
+    """The contents of ``annots.npy``: cameras, and images by rows (moments) and columns (cameras)."""
 
     file: Path
     calibrations: dict[str, Calibration]
@@ -75,9 +73,7 @@ class Annotations:
     def images(
         self, splits: dict[str, Split], rows: Sequence[int], numbers: Sequence[int]
     ) -> dict[tuple[str, int], tuple[Path, Path]]:
-        """Image and mask files of every camera and frame of the splits; ``numbers`` are the frames of
-        ``rows``.
-        """
+        """Image and mask files of the splits; ``numbers`` are the frames of ``rows``."""
         folder = self.file.parent
         masks = next((folder / name for name in _MASKS if (folder / name).is_dir()), folder / _MASKS[0])
         row_of = dict(zip(numbers, rows, strict=True))
@@ -90,8 +86,7 @@ class Annotations:
 
 
 def read_annotations(folder: Path, size: tuple[int, int] | None) -> Annotations:
-    """Reads ``annots.npy``; ``size`` (w, h) is the image size of the calibrations, None for the size of the
-    files.
+    """Reads ``annots.npy``; ``size`` (w, h) is the calibrations', None for that of the files.
 
     Raises:
         InputError: the file is missing, damaged or incomplete; the message names the key.
@@ -144,9 +139,7 @@ def fit_files(
 
 
 def numbered_files(folder: Path) -> dict[int, Path]:
-    """The ``.npy`` files of a folder whose names are numbers, by number, preferring names without leading
-    zeros.
-    """
+    """The ``.npy`` files of a folder named by numbers, preferring those without leading zeros."""
     found = sorted((file for file in folder.glob("*.npy") if file.stem.isdecimal()),
                    key=lambda file: -len(file.stem))
     return {int(file.stem): file for file in found}
@@ -159,9 +152,7 @@ def _files(folder: Path, frames: Sequence[int]) -> dict[int, Path]:
 
 
 def fit_folder(folder: Path, choice: str | None) -> Path:
-    """The folder of fits called ``choice``, or the first of `FITS` that exists; InputError if there is
-    none.
-    """
+    """The folder of fits ``choice``, or the first of `FITS` that exists; else InputError."""
     for name in [choice] if choice else FITS:
         if (folder / name).is_dir():
             return folder / name
@@ -187,9 +178,7 @@ def _row(file: Path, i: int, entry: Any) -> list[PurePosixPath]:
 
 
 def _names(row: list[PurePosixPath]) -> list[str]:
-    """The cameras' names: those of their folders, with invalid characters replaced; numbers if these are not
-    unique.
-    """
+    """The cameras' names: their folders', with invalid characters replaced, or numbers."""
     names = [re.sub(r"[^A-Za-z0-9.\-]+", "_", path.parent.name).strip("_.-") for path in row]
     unique = all(names) and len(set(names)) == len(names)
     return names if unique else [f"camera{i:02d}" for i in range(len(row))]

@@ -1,5 +1,4 @@
-"""DynaCap (Habermann et al. 2021), as far as its layout is known; docs/captures-from-elsewhere.md lists the
-assumptions.
+"""DynaCap (Habermann et al. 2021); docs/captures-from-elsewhere.md lists the assumptions.
 
 The first 1,000 frames are for training, the next 1,000 are novel poses. Ten cameras are for training and five
 for testing, spread evenly over the file's order. A folder with ``annots.npy`` is read as ZJU-MoCap's layout;
@@ -76,9 +75,7 @@ def _splits(folder: Path, selection: Selection, names: list[str], numbers: Seque
 
 
 def _spread(names: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Ten cameras for training and five for testing, spread evenly: of fifteen, every third is for
-    testing.
-    """
+    """Ten cameras for training and five for testing: every third of fifteen, spread evenly."""
     count = TRAIN_CAMERAS + TEST_CAMERAS
     if len(names) < count:
         return list(names), list(names)

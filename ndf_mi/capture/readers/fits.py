@@ -1,5 +1,4 @@
-"""SMPL fitted to ZJU-MoCap: ``params/I.npy`` with ``poses``, ``shapes``, ``Rh``, ``Th``, and
-``vertices/I.npy``.
+"""SMPL fitted to ZJU-MoCap: ``params/I.npy`` and ``vertices/I.npy``.
 
 V = R(Rh)·X(θ, β) + Th with θ[:3] = 0 and R about the world's origin, which is the convention of
 `ndf_mi.body.poses.Poses`.
@@ -42,9 +41,7 @@ class Fits:
         return replace(self, root_rotation=root.as_rotvec(), translation=self.translation @ turn.T)
 
     def upright(self) -> np.ndarray:
-        """(3, 3) rotation by quarter turns that makes y point up. Up is the axis nearest to the performer's
-        mean up.
-        """
+        """(3, 3) rotation by quarter turns that makes y point up, along the performer's mean up."""
         up = Rotation.from_rotvec(self.root_rotation).as_matrix()[:, :, 1].mean(0)
         axis = int(np.abs(up).argmax())
         old = np.sign(up[axis]) * np.eye(3)[axis]

@@ -1,6 +1,4 @@
-"""Converts what a reader found into a capture: rectifies images and masks, rotates body and cameras, writes
-the folder.
-"""
+"""Converts what a reader found into a capture: rectifies images, rotates the world, writes it."""
 
 from __future__ import annotations
 
@@ -187,9 +185,7 @@ def _check_free(out: Path) -> None:
 
 @contextmanager
 def _staged(out: Path) -> Iterator[Path]:
-    """A hidden folder next to ``out``. It replaces ``out`` if the block succeeds, and is otherwise removed
-    with new parents.
-    """
+    """A hidden folder that replaces ``out`` if the block succeeds, and otherwise is removed."""
     out = out.resolve()
     made = [parent for parent in out.parents if not parent.exists()]
     try:

@@ -1,6 +1,4 @@
-"""Resamples images and masks of a calibrated camera to a pinhole camera with square pixels and a smaller
-image.
-"""
+"""Resamples images and masks to a pinhole camera with square pixels and a smaller image."""
 
 from __future__ import annotations
 
@@ -85,8 +83,7 @@ def read_rgb(path: Path, size: tuple[int, int]) -> np.ndarray:
 
 
 def read_labels(path: Path, size: tuple[int, int], above: int) -> np.ndarray:
-    """(h, w) bool of a mask file: where a channel (or palette index) is above ``above``; resized from the
-    nearest pixels.
+    """(h, w) bool of a mask file: whether a channel is above ``above``; resized by nearest pixels.
 
     Raises:
         InputError: the file is missing, truncated or not an image.

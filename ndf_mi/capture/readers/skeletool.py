@@ -24,8 +24,7 @@ _NUMBERS = {"size": 2, "intrinsic": 16, "extrinsic": 16}
 
 
 def read_calibrations(path: Path) -> dict[str, Calibration]:
-    """The cameras by name, in the file's order. Radial distortion is refused, since the meaning of its
-    numbers is unknown.
+    """The cameras by name. Radial distortion is refused, since its convention is unknown.
 
     Raises:
         InputError: the file is missing or not such a text, or a block lacks something; the message names the

@@ -54,9 +54,7 @@ SUBJECTS = {
     "393": Subject(range(300), range(300, 558)),
     "394": Subject(range(300), range(300, 859)),
 }
-"""Subjects by the number in the folder's name, such as ``CoreView_313``. 313 and 315 count frames from 1,
-others from 0.
-"""
+"""Subjects by number, as in ``CoreView_313``. 313 and 315 count frames from 1, others from 0."""
 
 
 def read_zju(

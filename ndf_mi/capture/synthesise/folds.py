@@ -1,5 +1,4 @@
-"""Folds of cloth that follow the pose: fixed displacement fields whose amplitudes and phases depend on joint
-angles.
+"""Folds of cloth: fixed displacement fields with amplitudes and phases that follow the joints.
 
 The displacement along the normal is F·c(θ): F (N, K) is made once from rest coordinates, and c(θ) (K,) is a
 smooth function of the pose. Each fold system is a pair of fields, A·sin(φ + δ) = A cos δ·sin φ + A sin δ·cos

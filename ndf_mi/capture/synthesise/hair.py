@@ -1,6 +1,4 @@
-"""A chin-length bob with a fringe: strands that follow the head's convex hull from the crown and then
-fall.
-"""
+"""A chin-length bob with a fringe: strands that follow the head's convex hull, then fall."""
 
 from __future__ import annotations
 
@@ -59,9 +57,7 @@ def make_hair(naked: Sheet, eyes: np.ndarray, head: int) -> Layer:
 
 
 def _grid_faces(rows: int, columns: int) -> np.ndarray:
-    """Triangles, outward, of a grid that is closed around, with ``rows`` from the crown down; a fan closes
-    the crown.
-    """
+    """Outward triangles of a grid that is closed around, from the crown down, with a fan on top."""
     a = np.arange(rows - 1)[:, None] * columns + np.arange(columns)
     b = np.arange(rows - 1)[:, None] * columns + (np.arange(columns) + 1) % columns
     quads = np.concatenate([np.stack([a, a + columns, b], axis=-1),

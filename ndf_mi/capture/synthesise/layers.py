@@ -1,6 +1,4 @@
-"""The surface layers of the performer, with colours and skinning weights at the vertices, and tools to make
-them.
-"""
+"""The surface layers of the performer, with colours and skinning weights, and their tools."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A piece of a skinned surface before it becomes a layer: (N, 3) rest vertices, (N, J) weights, (N, 2)
-    UVs, faces.
-    """
+    """A skinned surface before it is a layer: (N, 3) rest vertices, (N, J) weights, (N, 2) UVs."""
 
     rest: np.ndarray
     weights: np.ndarray
@@ -76,9 +72,7 @@ class Sheet:
         return Sheet(matrix @ self.rest, matrix @ self.weights, matrix @ self.uv, faces)
 
     def eased(self, positions: int, weights: int) -> Sheet:
-        """Positions and weights averaged so many times: cloth bridges hollows of the body and bends over
-        longer stretches.
-        """
+        """Averaged so many times: cloth bridges hollows of the body and bends over longer stretches."""
         mean = averaging(self.faces, len(self.rest))
         rest, blend = self.rest, self.weights
         for _ in range(positions):
@@ -142,9 +136,7 @@ def rise(values: np.ndarray, start: float, end: float) -> np.ndarray:
 
 
 def waves(points: np.ndarray, wavelength: float, seed: int, count: int = 24) -> np.ndarray:
-    """(N,) smooth noise with about unit deviation: a sum of plane waves of random directions around
-    ``wavelength`` metres.
-    """
+    """(N,) smooth noise of about unit deviation: random plane waves of ``wavelength`` metres."""
     random = np.random.default_rng(seed)
     directions = random.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

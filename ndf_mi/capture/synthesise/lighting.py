@@ -108,9 +108,7 @@ def emitter(name: str = DEFAULT) -> dict[str, Any]:
 
 
 def write(folder: Path, name: str = DEFAULT) -> str:
-    """Writes a light as a Mitsuba scene with its image into ``folder``; returns the name of the scene
-    file.
-    """
+    """Writes a light into ``folder`` as a Mitsuba scene with its image; returns the scene's name."""
     with replacing(folder / ENVIRONMENT) as temporary:
         mi.Bitmap(environment(name)).write(str(temporary))
     write_text(

@@ -1,6 +1,4 @@
-"""The choices that make a synthetic performer easier or harder to model: motion, clothes, folds and
-materials.
-"""
+"""The choices that make a synthetic performer easier or harder to model."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Colours of cloth, skin, hair and eyes: linear reflectance at rest points, with patterns of a few
-centimetres.
-"""
+"""Colours of cloth, skin, hair and eyes: linear reflectance at rest points, with patterns."""
 
 from __future__ import annotations
 
@@ -21,9 +19,7 @@ def over(colour: np.ndarray, paint: np.ndarray, share: np.ndarray) -> np.ndarray
 
 
 def stripe(turns: np.ndarray, width: float) -> np.ndarray:
-    """1 within ``width`` (a fraction of the period) around each whole number of ``turns``, with soft
-    edges.
-    """
+    """1 within ``width``, a fraction of the period, around whole numbers of ``turns``; soft edges."""
     distance = np.abs(turns - np.round(turns))
     return rise(distance, width / 2 + 0.04, width / 2 - 0.04)
 
@@ -52,9 +48,7 @@ def borders(colour: np.ndarray, rim: np.ndarray) -> np.ndarray:
 
 
 def trousers(frame: Frame, rest: np.ndarray, hem: float) -> np.ndarray:
-    """Denim: fine pale stripes along the leg, seams, pale knees and thighs, turned-up cuffs, a mottled
-    weave.
-    """
+    """Denim: pale stripes along the leg, seams, pale knees and thighs, cuffs, a mottled weave."""
     colour = np.tile(tone(52, 72, 112), (len(rest), 1))
     colour = colour * (1 + 0.16 * waves(rest, 0.05, 21))[:, None].clip(0.5, 1.6)
     colour = over(colour, tone(120, 140, 175), 0.5 * stripe(12 * frame.leg_phi / (2 * np.pi), 0.18))
@@ -114,9 +108,7 @@ def hair(rest: np.ndarray, crown: np.ndarray) -> np.ndarray:
 
 
 def eye(directions: np.ndarray) -> np.ndarray:
-    """White, iris and pupil by (N, 3) unit directions from the centre of the eyeball, which looks along
-    +z.
-    """
+    """White, iris and pupil of an eye that looks along +z, by (N, 3) unit directions."""
     angle = np.arccos(np.clip(directions[:, 2], -1, 1))
     colour = np.tile(tone(235, 230, 225), (len(directions), 1))
     colour = over(colour, tone(70, 100, 90), rise(angle, 0.52, 0.46))

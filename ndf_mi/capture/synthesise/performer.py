@@ -68,9 +68,7 @@ class Performer:
 def _drape(
     layer: Layer, folds: Folds, vertices: np.ndarray, pose: dict[str, np.ndarray], down: np.ndarray
 ) -> np.ndarray:
-    """Lowers cloth that lies on or hangs below a limb, along gravity's unit vector ``down``; then folds
-    it.
-    """
+    """Lowers cloth on or below a limb along gravity's unit vector ``down``, then folds it."""
     normals = vertex_normals(vertices, layer.faces)
     hang = layer.slack * (normals @ down) ** 2
     return vertices + hang[:, None] * down + folds.displacement(pose)[:, None] * normals
@@ -89,9 +87,7 @@ class _Outside:
         self._tree = cKDTree(naked)
 
     def __call__(self, vertices: np.ndarray, clearance: float, mean: csr_matrix) -> np.ndarray:
-        """Vertices at least ``clearance`` metres outside; ``mean`` spreads the first move over neighbours, to
-        avoid dents.
-        """
+        """Vertices at least ``clearance`` metres outside; ``mean`` smooths the first move."""
         push = self._push(vertices, clearance)
         for _ in range(4):
             push = mean @ push

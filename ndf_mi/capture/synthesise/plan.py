@@ -85,9 +85,7 @@ SIZES = {
 
 
 def splits(settings: Settings, names: list[str]) -> dict[str, Split]:
-    """Cameras and frames of each split: training frames from 0, then those of the novel poses and of the
-    sequence.
-    """
+    """Cameras and frames of each split: training frames, then novel poses, then the sequence."""
     train = evenly(names, settings.train_cameras)
     others = tuple(name for name in names if name not in train)
     frames = tuple(range(settings.frames))
@@ -111,8 +109,7 @@ def shape_of(body: Body) -> np.ndarray:
 
 
 def motion(body: Body, settings: Settings, kind: str = "clips") -> Poses:
-    """The posed body in every frame: evenly spaced times of the training clips, of the novel one, then its
-    sequence.
+    """The posed body in every frame: of the training clips, of the novel one, and of its sequence.
 
     In every frame the lowest point is at height 0 and the hips are over the origin.
 
@@ -150,17 +147,13 @@ def motion(body: Body, settings: Settings, kind: str = "clips") -> Poses:
 
 
 def heading(root_rotation: np.ndarray) -> float:
-    """The angle in radians, from +z towards +x, at which the body faces with the (3,) axis-angle
-    `root_rotation`.
-    """
+    """The angle from +z towards +x, radians, at which a body with `root_rotation` (3,) faces."""
     forward = Rotation.from_rotvec(root_rotation).apply([0.0, 0.0, 1.0])
     return float(np.arctan2(forward[0], forward[2]))
 
 
 def _held(poses: Poses, angles: np.ndarray) -> Poses:
-    """The pose of the first frame, rotated around the world's y axis by the angles of the frames, (T,)
-    radians.
-    """
+    """The pose of the first frame, rotated around the world's y axis by (T,) radians."""
     turn = Rotation.from_rotvec(angles[:, None] * [0.0, 1.0, 0.0])
     return Poses(
         np.arange(len(angles), dtype=np.int32),

@@ -15,8 +15,7 @@ _FREE = 0.04
 
 
 def camera_ring(count: int, pixels: int, vertices: np.ndarray, seed: int) -> dict[str, Camera]:
-    """``count`` cameras of ``pixels`` by ``pixels``, evenly around the y axis, that always see the whole
-    performer.
+    """``count`` cameras, evenly around the y axis, that always see the whole performer.
 
     Heights, distances and aims vary a little with ``seed``. Each camera has the largest focal length at which
     the clothed body stays in the image.
@@ -50,9 +49,7 @@ def evenly(names: list[str], count: int) -> tuple[str, ...]:
 
 
 def _outline(vertices: np.ndarray) -> np.ndarray:
-    """Points that bound the clothed bodies: some vertices, moved by the thickness of clothes along each
-    axis.
-    """
+    """Points that bound the clothed bodies: some vertices, moved by the thickness of clothes."""
     thin = vertices[:, ::16].reshape(-1, 3)
     shifts = np.concatenate([np.eye(3), -np.eye(3)]) * _CLOTHES
     return (thin[:, None] + shifts).reshape(-1, 3)

@@ -1,6 +1,4 @@
-"""Renders the performer with Mitsuba's path tracer: one scene whose vertices move, one kernel for all cameras
-and frames.
-"""
+"""Renders the performer with Mitsuba's path tracer, with one kernel for all cameras and frames."""
 
 from __future__ import annotations
 
@@ -51,9 +49,7 @@ class Studio:
         self._edge = 0.0
 
     def pose(self, layers: Sequence[np.ndarray], heading: float = 0.0) -> None:
-        """Moves the layers to world vertices, (N, 3) each, and turns a carried light to `heading`, radians
-        around y.
-        """
+        """Moves the layers to world vertices, (N, 3) each; a carried light turns to `heading`, radians."""
         if self._light.carried:
             turn = mi.Transform4f().rotate([0, 1, 0], float(np.degrees(heading)))
             self._parameters["light.to_world"] = turn
@@ -91,9 +87,7 @@ class Studio:
         return image[..., :3], image[..., 3]
 
     def _seen_pixels(self, camera: Camera) -> np.ndarray:
-        """(P,) uint32 indices, row by row, of the pixels that the performer can touch: those within an edge
-        of a vertex.
-        """
+        """(P,) uint32 indices of the pixels that the performer can touch: an edge or less from a vertex."""
         columns, rows = np.floor(camera.project(self._points)).astype(int).T
         inside = (columns >= 0) & (columns < camera.w) & (rows >= 0) & (rows < camera.h)
         seen = np.zeros((camera.h, camera.w), dtype=bool)

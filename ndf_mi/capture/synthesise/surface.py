@@ -16,8 +16,7 @@ def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def loop_subdivision(faces: np.ndarray, count: int) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """One step of Loop's subdivision (Loop 1987, with Warren's vertex weights) of a mesh of ``count``
-    vertices.
+    """One step of Loop subdivision (Loop 1987, Warren's weights) of a mesh of ``count`` vertices.
 
     Returns:
         The (count + E, count) matrix from old vertices (or their attributes) to new ones, and the (4 F, 3)
@@ -101,9 +100,7 @@ def rim_distance(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def averaging(faces: np.ndarray, count: int) -> sparse.csr_matrix:
-    """(V, V) matrix that replaces each vertex by the mean of itself and its neighbours' mean, if it has
-    neighbours.
-    """
+    """(V, V) matrix that replaces a vertex by the mean of itself and its neighbours' mean."""
     edges, _ = edges_of(faces)
     both = np.concatenate([edges, edges[:, ::-1]])
     valence = np.bincount(both[:, 0], minlength=count)

@@ -1,6 +1,4 @@
-"""Makes a synthetic capture: poses the performer, renders it with the cameras of the splits, and writes the
-folder.
-"""
+"""Makes a synthetic capture: poses the performer, renders all splits, and writes the folder."""
 
 from __future__ import annotations
 
@@ -114,9 +112,7 @@ def composite(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
 
 
 def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
-    """Checks that ``out`` is new, empty or a capture with these settings; removes another capture if
-    ``overwrite``.
-    """
+    """Checks that ``out`` is new, empty or such a capture; removes another if ``overwrite``."""
     if out.is_file():
         raise InputError(out, "a file", "a folder")
     if not out.is_dir() or not any(out.iterdir()):

@@ -1,6 +1,4 @@
-"""Makes the performer's layers on a body at rest: shirt, trousers and shoes cut from its tights; skin, hair
-and eyes.
-"""
+"""Makes the performer's layers at rest: clothes cut from the body's tights, skin, hair, eyes."""
 
 from __future__ import annotations
 

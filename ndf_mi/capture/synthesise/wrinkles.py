@@ -12,9 +12,7 @@ SIDES = (("Left", 1), ("Right", -1))
 
 
 def shirt_folds(frame: Frame, rest: np.ndarray, bottom: float) -> Folds:
-    """Folds of a shirt: at the elbows, from the armpits, along twists and bends of the trunk, and at the
-    hem.
-    """
+    """Folds of a shirt: at elbows and armpits, along twists and bends of the trunk, at the hem."""
     warp = waves(rest, 0.16, 11)
     trunk = 1 - frame.arm
     systems = []
