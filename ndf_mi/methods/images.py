@@ -30,7 +30,7 @@ from ndf_mi.methods.base import Budget, Progress
 
 METADATA = "metadata.json"
 LISTED = 8
-"""Missing pictures that a message names; of more it says how many."""
+"""Missing pictures that a message lists; it counts the others."""
 
 
 class Images:
@@ -86,7 +86,7 @@ class Images:
         return _read_picture(self._files[camera.name, frame], self._capture.background)
 
     def metadata(self) -> dict[str, Any]:
-        """What `metadata.json` says, the folder and the number of pictures."""
+        """The contents of `metadata.json`, the folder and the number of pictures."""
         note = f"Pictures from {self._folder}."
         return {"note": note, **self._metadata, "folder": str(self._folder), "pictures": len(self._files)}
 

@@ -86,10 +86,10 @@ def tensors_of(fitted: FittedTexture) -> Tensors:
 def write_mesh(folder: str | os.PathLike[str], record: MeshRecord, tensors: Tensors) -> None:
     """Writes a mesh into a folder, `mesh.json` last."""
     folder = Path(folder)
-    with files.replacing(folder / "texture.png") as beside:
-        mi.Bitmap(np.round(np.clip(tensors["texture"], 0, 1) * 255).astype(np.uint8)).write(str(beside))
-    with files.replacing(folder / "mesh.safetensors") as beside:
-        beside.write_bytes(save(tensors))
+    with files.replacing(folder / "texture.png") as temporary:
+        mi.Bitmap(np.round(np.clip(tensors["texture"], 0, 1) * 255).astype(np.uint8)).write(str(temporary))
+    with files.replacing(folder / "mesh.safetensors") as temporary:
+        temporary.write_bytes(save(tensors))
     files.write_json(folder / "mesh.json", msgspec.to_builtins(record))
 
 

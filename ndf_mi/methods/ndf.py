@@ -103,8 +103,8 @@ class NeuralField:
         """Copies the run's files."""
         for file in sorted(self.run.path.iterdir()):
             if file.is_file() and not files.is_left_over(file) and file.name != "config.json":
-                with files.replacing(Path(folder) / file.name) as beside:
-                    shutil.copyfile(file, beside)
+                with files.replacing(Path(folder) / file.name) as temporary:
+                    shutil.copyfile(file, temporary)
         # Last, as a run without it counts as unfinished.
         files.write_json(Path(folder) / "config.json", self.run.config)
 

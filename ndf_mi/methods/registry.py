@@ -8,9 +8,8 @@ To add a method, write a class with the members of `ndf_mi.methods.base.Method` 
         ...
 
 The class is created without arguments, or with those options of the experiment that its constructor has
-parameters for,
-by name: `texture` (texels a side), `samples` (samples a ray), and what `metadata()["tuned"]` of another
-    training found.
+parameters for, by name: `texture` (texels a side), `samples` (samples a ray), and what `metadata()["tuned"]`
+of another training found.
 
 On a command line, a method is KEY[:FOLDER][@BUDGET]. With a folder it is loaded from there. Without one it is
 trained: `@converged` to convergence, `@equal-time` for as long as the run that it is compared with, and
@@ -151,11 +150,10 @@ def parse_spec(text: str) -> MethodSpec:
 
 
 def parse_specs(texts: str | Iterable[str]) -> list[MethodSpec]:
-    """Reads methods separated by commas. A folder with a comma in its name must come as an item of its own
-    list.
+    """Reads a list of methods.
 
     Args:
-        texts: one text that commas separate, or one text a method.
+        texts: one text, with commas between methods; or one text a method, whose folder may hold a comma.
 
     Raises:
         InputError: as `parse_spec`; there is none, or two would have the same name in the results.

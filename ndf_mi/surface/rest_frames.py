@@ -43,7 +43,7 @@ class RestFrames:
         self._joints: dict[int, np.ndarray] = {}
 
     def linear(self, frame: int) -> np.ndarray:
-        """(V, 3, 3) A_i of a frame. Raises InputError listing the frames if there is none such."""
+        """(V, 3, 3) A_i of a frame. Raises InputError listing the frames if there is no such frame."""
         row = self._poses.index(frame)
         if not self._body.skinned:
             now = self._tangent_frames(self._poses.vertices[row].astype(np.float64))

@@ -49,11 +49,11 @@ def test_its_cache_key_depends_on_grid_light_and_samples(make_constant_run):
 def test_a_camera_inside_the_band_is_refused(make_constant_run):
     """Cameras outside the band and its shell are accepted."""
     run = make_constant_run(25.0)
-    camera = ring_camera("near", 0.0)
-    for distance, near in ((0.36, True), (0.41, True), (0.45, False), (2.0, False)):
+    camera = ring_camera("close", 0.0)
+    for distance, inside in ((0.36, True), (0.41, True), (0.45, False), (2.0, False)):
         camera.transform[:3, 3] = [0.05, 0, distance]
-        if not near:
+        if not inside:
             expect_outside(run, camera, 1)
             continue
-        with pytest.raises(InputError, match="'near'.*frame 1.*band"):
+        with pytest.raises(InputError, match="'close'.*frame 1.*band"):
             lit(run, DARK, 2).render(camera, 1)

@@ -28,7 +28,7 @@ def camera() -> Camera:
 
 
 def capture_of(meshes: list[trimesh.Trimesh]) -> SimpleNamespace:
-    """A body of spheres, each with a plain colour of its own in the texture (2, 2)."""
+    """A body of spheres, each with its own colour in the texture (2, 2)."""
     joined = trimesh.util.concatenate(meshes)
     faces = np.asarray(joined.faces, np.int32)
     vertices = np.asarray(joined.vertices, np.float32)
