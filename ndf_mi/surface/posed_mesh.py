@@ -55,8 +55,7 @@ class PosedMesh:
         self._parameters = mi.traverse(self.scene)
 
     def set_frame(self, frame: int) -> None:
-        """Moves the vertices to the body's in `frame`. Raises InputError if there is no such frame.
-        """
+        """Moves the vertices to the body's in `frame`. Raises InputError if there is no such frame."""
         if frame != self._frame:
             self._move(self._vertices(frame))
             self._frame = frame

@@ -14,11 +14,10 @@ class RestFrames:
     vertex and frame.
 
     With a skinning model, rest is the model's, at the capture's shape, and A_i is the linear part of the
-    vertex's blended
-    joint transforms: the result is what the same skinning makes of the template plus d. Without one, rest is
-    the mesh of the first training frame (of the first pose if there is none), and A_i turns the vertex's
-    tangent frame there into its
-    tangent frame now: the normal, and the direction of one edge in the tangent plane.
+    vertex's blended joint transforms: the result is what the same skinning makes of the template plus d.
+    Without one, rest is the mesh of the first training frame (of the first pose if there is none), and A_i
+    turns the vertex's tangent frame there into its tangent frame now: the normal, and the direction of one
+    edge in the tangent plane.
 
     Args:
         capture: whose body and poses are used.

@@ -57,9 +57,8 @@ class SmoothOffsets:
     with the vertices' areas M and the cotangent stiffness C. This is the preconditioning of Nicolet et al.
     (2021, "Large Steps in Inverse Rendering of Geometry") with the Laplacian of finite elements in place of
     the combinatorial one. The latter smooths over a number of edges, and a body's edges are between less than
-    a millimetre and centimetres long. Steps
-    are those of their AdamUniform: Adam with one second moment for all, the largest, which keeps a step as
-    smooth as its gradient.
+    a millimetre and centimetres long. Steps are those of their AdamUniform: Adam with one second moment for
+    all, the largest, which keeps a step as smooth as its gradient.
 
     Args:
         vertices: (V, 3) the mesh at rest, metres; lengths and areas are measured on it.

@@ -18,9 +18,8 @@ class TexturedSurface(PosedMesh):
     """The mesh emits the texture's radiance on both sides, so a primary ray sees the texel that it hits.
 
     Mitsuba's `path` computes the same with `max_depth` 1 for an area emitter. Here `ray_intersect` and the
-    bitmap plugin
-    compute it: the mesh is no emitter, moving it rebuilds no sampling tables, and one pass gives value and
-        gradient.
+    bitmap plugin compute it: the mesh is no emitter, moving it rebuilds no sampling tables, and one pass
+    gives value and gradient.
     """
 
     def render(self, camera: Camera, spp: int, seed: int, rectangle: Rectangle | None = None) -> mi.TensorXf:
