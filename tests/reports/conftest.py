@@ -131,13 +131,14 @@ def trade(truth: SimpleNamespace, tmp_path: Path) -> Trade:
     """
     views = [VIEWS[0], VIEWS[2]]
 
-    def row(key: str, field: str, seconds: float, psnr: float, session: str = "now", paths: bool = False) -> Row:
+    def row(
+        key: str, field: str, seconds: float, psnr: float, session: str = "now", paths: bool = False
+    ) -> Row:
         truths = {} if paths else {"box_psnr": psnr, "box_ssim": 0.9, "box_flip": 0.1}
         figures = [Figures(view, truths, psnr + 10, None if paths else 31.0) for view in views]
         metadata = {"steps": 500, "training_seconds": 12.0, "loading": 0.5 if paths else None}
-        setting, times = {"spp": 1}, [seconds, 3 * seconds]
-        made = Row(key, "axis", f"{key} samples", field, setting, paths, key, metadata, 3 * 2**20, figures, times)
-        made.session = session
+        made = Row(key, "axis", f"{key} samples", field, {"spp": 1}, paths, key, metadata, 3 * 2**20, figures)
+        made.seconds, made.session = [seconds, 3 * seconds], session
         for view in views:
             image = truth.image(view.camera, view.frame)
             shown = image[::2, ::2] if paths else image
