@@ -89,7 +89,7 @@ def line_chart(
         _ticks(axes.xaxis, max(values) / min(values))
     else:
         whole = all(value == round(value) for value in values)
-        axes.xaxis.set_major_locator(MaxNLocator("auto", integer=whole))
+        axes.xaxis.set_major_locator(MaxNLocator("auto", integer=whole, min_n_ticks=1))
     alt = f"Line chart of {y_label} against {x_label}. " + " ".join(map(_describe, lines))
     return _chart(figure, title, alt, keys if len(keys) > 1 else [])
 
@@ -230,6 +230,8 @@ def _describe(series: Series) -> str:
     finite = [(a, b) for a, b in zip(x, y, strict=True) if math.isfinite(b)]
     if not finite:
         return f"{label}: no finite value."
+    if len(finite) == 1:
+        return f"{label}: {finite[0][1]:.4g} at {finite[0][0]:.4g}."
     (start, first), (end, last), values = finite[0], finite[-1], [b for _, b in finite]
     span = f"from {first:.4g} at {start:.4g} to {last:.4g} at {end:.4g}"
     return f"{label}: {span}, lowest {min(values):.4g}, highest {max(values):.4g}."

@@ -76,7 +76,8 @@ def view_row(shots: Sequence[Shot], view: View, top: float = 1.0, reference: str
     images: list[Picture] = []
     errors: list[tuple[Picture, ...]] = []
     for shot in shots:
-        images.append(picture(shot.image, f"{shot.label}: {where}; {shot.caption}", shot.label, shot.caption))
+        alt = f"{shot.label}: " + (shot.caption if where in shot.caption else f"{where}; {shot.caption}")
+        images.append(picture(shot.image, alt, shot.label, shot.caption))
         errors.append(())
         if shot.error is not None:
             caption = f"mean {shot.error.mean():.3f}, scale 0 to {top:g}"

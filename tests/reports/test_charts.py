@@ -44,9 +44,9 @@ def test_identifiers_are_unique_and_the_same_from_run_to_run():
 
 
 def test_lines_are_described():
-    series = [("NDF", [1, 2, 3], [20.0, math.nan, 31.5]), ("Mesh", [1], [math.nan])]
+    series = [("NDF", [1, 2, 3], [20.0, math.nan, 31.5]), ("Mesh", [1], [math.nan]), ("Point", [2], [7.0])]
     alt = charts.line_chart(series, "frame", "dB", "").alt
-    for text in ("frame", "dB", "NDF: from 20 at 1 to 31.5 at 3", "Mesh: no finite value"):
+    for text in ("frame", "dB", "NDF: from 20 at 1 to 31.5 at 3", "Mesh: no finite value", "Point: 7 at 2."):
         assert text in alt
 
 

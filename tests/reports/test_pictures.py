@@ -53,10 +53,11 @@ def test_the_window_holds_the_body_at_any_size(truth):
 @pytest.mark.parametrize(("shape", "panels"), [((10, 20, 3), [1, 2]), ((20, 10, 3), [1, 1, 1])])
 def test_error_maps_stand_below_wide_pictures_and_beside_narrow_ones(shape, panels):
     image = np.zeros(shape)
-    shots = [Shot("Truth", image, "camera side"), Shot("NDF", image, "31.00 dB", np.full(shape[:2], 0.05))]
+    shots = [Shot("Truth", image, "camera side, frame 1, novel views"), Shot("NDF", image, "31.00 dB", np.full(shape[:2], 0.05))]
     row = pictures.view_row(shots, VIEW, 0.1)
     assert [len(panel) for panel in row.panels] == panels and row.height == max(panels)
     found = [picture for panel in row.panels for picture in panel]
     assert [picture.label for picture in found] == ["Truth", "NDF", "Error: NDF"]
+    assert found[0].alt == "Truth: camera side, frame 1, novel views"
     assert "31.00 dB" in found[1].alt and "frame 1" in found[1].alt
     assert "0.050" in found[2].alt and "0.1" in found[2].alt and "0.050" in found[2].caption
