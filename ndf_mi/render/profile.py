@@ -8,17 +8,16 @@ image size and machine.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+
+import msgspec
 
 from ndf_mi import files, machine
 from ndf_mi.errors import InputError
-from ndf_mi.json_input import is_finite
 from ndf_mi.render.cost import Sample
 from ndf_mi.render.measure import CUTOFFS, Profile, measure
 from ndf_mi.render.settings import field_digest
@@ -27,8 +26,6 @@ from ndf_mi.source_digest import code_digest
 
 FORMAT = "ndf-profile"
 VERSION = 3
-
-_UNREADABLE = "the stored one can't be read"
 
 
 @dataclass(frozen=True)
@@ -66,9 +63,16 @@ class Key:
             *(self.machine[name] for name in ("Processor", "Cores", "Variant"))]
         return cache_folder() / "profiles" / f"{hashlib.sha256(repr(fixed).encode()).hexdigest()[:24]}.json"
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON values."""
-        return asdict(self) | {"size": list(self.size)}
+
+@dataclass(frozen=True)
+class _File:
+    """A profile on disk."""
+
+    format: str
+    version: int
+    key: Key
+    opacity: float
+    samples: list[Sample]
 
 
 def cache_folder() -> Path:
@@ -107,46 +111,26 @@ def load_or_measure(run: Run, size: tuple[int, int], geometry: bool, report: Cal
 
 
 def write(key: Key, profile: Profile) -> None:
-    """Stores a profile.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    files.write_json(
-        key.file,
-        {
-            "format": FORMAT, "version": VERSION, "key": key.to_dict(), "opacity": profile.opacity,
-            "samples": [asdict(sample) for sample in profile.samples]},
-    )
+    """Stores a profile. Raises InputError if the file cannot be written."""
+    files.write_json(key.file, asdict(_File(FORMAT, VERSION, key, profile.opacity, profile.samples)))
 
 
 def read(key: Key) -> tuple[Profile | None, str]:
     """The profile stored for a key; or None and the reason: there is none, it can't be read, or it is
     stale."""
     try:
-        document = json.loads(key.file.read_text(encoding="utf-8"))
+        stored = msgspec.json.decode(key.file.read_bytes(), type=_File)
     except FileNotFoundError:
         return None, "none yet for this run at this size"
-    except (OSError, ValueError, RecursionError):
-        return None, _UNREADABLE
-    if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (
-        FORMAT, VERSION):
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None, "the stored one can't be read"
+    if (stored.format, stored.version) != (FORMAT, VERSION):
         return None, "the stored one is of another version"
-    stored, current = document.get("key"), key.to_dict()
-    if stored != current:
-        names, before = (
-            {"digest": "weights", "code": "rendering code"}, stored if isinstance(stored, dict) else current)
-        changed = next(
-            (name for part, name in names.items() if before.get(part) != current[part]), "machine or versions"
-        )
+    if stored.key != key:
+        changed = (
+            "weights" if stored.key.digest != key.digest
+            else "rendering code" if stored.key.code != key.code else "machine or versions")
         return None, f"the stored one is stale ({changed} changed)"
-    try:
-        samples = [Sample(**entry) for entry in document["samples"]]
-        opacity = document["opacity"]
-        numbers = [
-            opacity, *(value for sample in samples for value in asdict(sample).values() if value is not None)]
-    except (KeyError, TypeError, ValueError):
-        return None, _UNREADABLE
-    if not all(map(is_finite, numbers)) or {s.cutoff for s in samples if s.error is not None} != set(CUTOFFS):
-        return None, _UNREADABLE
-    return Profile(samples, opacity), ""
+    if {s.cutoff for s in stored.samples if s.error is not None} != set(CUTOFFS):
+        return None, "the stored one can't be read"
+    return Profile(stored.samples, stored.opacity), ""
