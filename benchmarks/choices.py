@@ -31,8 +31,8 @@ import drjit as dr  # noqa: E402
 from ndf_mi.capture.capture import Capture  # noqa: E402
 from ndf_mi.commands.training_options import configured  # noqa: E402
 from ndf_mi.experiments import metrics  # noqa: E402
-from ndf_mi.experiments.evaluate import LABELS, choose_views  # noqa: E402
-from ndf_mi.experiments.records import View  # noqa: E402
+from ndf_mi.experiments.evaluate import choose_views  # noqa: E402
+from ndf_mi.experiments.records import SPLITS, View  # noqa: E402
 from ndf_mi.learn.loop import start  # noqa: E402
 from ndf_mi.methods.ndf import NeuralField  # noqa: E402
 
@@ -68,7 +68,7 @@ def main(options: Options) -> None:
     capture = Capture.read(options.capture)
     views = choose_views(capture, options.images, options.seed)
     splits = list(dict.fromkeys(view.split for view in views))
-    heads = [f"{LABELS[split]}: {name}" for split in splits
+    heads = [f"{SPLITS[split]}: {name}" for split in splits
              for name in ("PSNR", "SSIM", "edge", "within", "outside")]
     print("| | s a step | samples | " + " | ".join(heads) + " |\n| --- |" + " --- |" * (len(heads) + 2),
           flush=True)

@@ -32,8 +32,8 @@ from ndf_mi.capture.synthesise.studio import Studio  # noqa: E402
 from ndf_mi.capture.synthesise.synthesise import composite  # noqa: E402
 from ndf_mi.capture.synthesise.wrinkles import Folds  # noqa: E402
 from ndf_mi.experiments import metrics  # noqa: E402
-from ndf_mi.experiments.evaluate import LABELS, choose_views  # noqa: E402
-from ndf_mi.experiments.records import View  # noqa: E402
+from ndf_mi.experiments.evaluate import choose_views  # noqa: E402
+from ndf_mi.experiments.records import SPLITS, View  # noqa: E402
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def main(options: Options) -> None:
     print("| | rendered again | with mean folds |\n| --- | --- | --- |")
     for split in dict.fromkeys(view.split for view in views):
         again, mean = rows[[view.split == split for view in views]].mean(0)
-        print(f"| {LABELS[split]} | {again:.2f} | {mean:.2f} |")
+        print(f"| {SPLITS[split]} | {again:.2f} | {mean:.2f} |")
 
 
 def named_pose(capture: Capture, frame: int) -> dict[str, np.ndarray]:

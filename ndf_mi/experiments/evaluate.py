@@ -19,16 +19,11 @@ from ndf_mi.experiments import metrics
 from ndf_mi.experiments.core import Progress, Unit, fresh_records, run_units
 from ndf_mi.experiments.flicker import choose_sequences, measure_flicker
 from ndf_mi.experiments.protocols import DEFAULT, Protocol, named
-from ndf_mi.experiments.records import Flicker, FrameSequence, Measured, MethodResult, View
+from ndf_mi.experiments.records import SPLITS, Flicker, FrameSequence, Measured, MethodResult, View
 from ndf_mi.experiments.settings import Evaluation
 from ndf_mi.experiments.store import Store
 from ndf_mi.methods.base import Renderer
 
-SPLITS = ("novel_view", "novel_pose", "sequence", "train")
-LABELS = {
-    "novel_view": "novel views", "novel_pose": "novel poses", "sequence": "successive frames",
-    "train": "training views",
-}
 TRAINING_IMAGES = 4
 """Training images that are measured along with the held-out ones; they show how well a method fits what it
 has seen.

@@ -9,6 +9,14 @@ from msgspec import Struct
 
 from ndf_mi.experiments import metrics
 
+SPLITS = {
+    "novel_view": "novel views",
+    "novel_pose": "novel poses",
+    "sequence": "successive frames",
+    "train": "training views",
+}
+"""The splits that are measured, in this order, and their names for readers."""
+
 
 class View(Struct, frozen=True):
     """One image of a split."""

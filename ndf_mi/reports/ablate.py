@@ -9,8 +9,7 @@ from pathlib import Path
 
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
-from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
-from ndf_mi.experiments.records import MethodResult, Results
+from ndf_mi.experiments.records import SPLITS, MethodResult, Results
 from ndf_mi.learn.ablations import ABLATIONS
 from ndf_mi.reports import page, tables
 from ndf_mi.reports.page import Fact
@@ -31,7 +30,7 @@ HELD_OUT = ("novel_view", "novel_pose")
 #: Differences up to this many dB count as none. The paper calls rows level that differ by up to 0.18 dB.
 LEVEL = 0.25
 #: Splits in the table, where the capture has them.
-SPLITS = (*HELD_OUT, "sequence")
+SHOWN = (*HELD_OUT, "sequence")
 METRICS = {"box_psnr": "PSNR", "box_ssim": "SSIM", "box_tpsnr": "tPSNR"}
 #: Views of each split that are shown.
 VIEWS = 2
@@ -92,7 +91,7 @@ def table(results: Results) -> Table:
             cells += ["" if value is None else tables.signed("box_psnr", value) for value in both]
             agreed += [] if found is None else ["yes" if found.agrees else "no"]
         rows.append(Row(method.label, tuple(map(Cell, [*cells, " / ".join(agreed)]))))
-    groups = [(SPLIT_LABELS[split].capitalize(), len(columns)) for split in splits]
+    groups = [(SPLITS[split].capitalize(), len(columns)) for split in splits]
     return Table((*columns * len(splits), "agrees"), tuple(rows), (*groups, ("", 1)), corner="Variant")
 
 
@@ -114,7 +113,7 @@ def write_ablation_report(
         pictures: a folder of pictures for each variant, by its key.
     """
     about = results.about
-    measured = ", ".join(f"{number} of {SPLIT_LABELS[split]}" for split, number in about["measured"].items())
+    measured = ", ".join(f"{number} of {SPLITS[split]}" for split, number in about["measured"].items())
     page.write_page(
         path, "ablate.html.j2",
         name=capture.name,
@@ -122,7 +121,7 @@ def write_ablation_report(
         table=table(results),
         notes=[*_orders(results), *page.protocol_notes(about)],
         rows={split: _rows(results, split, capture, pictures) for split in _splits(results)},
-        labels=SPLIT_LABELS,
+        labels=SPLITS,
         variants=[Fact(method.label, (_variant(method),)) for method in results.methods],
         origin=page.origin(
             about, page.capture_fact(about), page.protocol_fact(about), Fact("Images measured", (measured,)),
@@ -144,12 +143,12 @@ def _to_full(results: Results, method: MethodResult, split: str) -> float | None
 
 
 def _splits(results: Results) -> list[str]:
-    return [split for split in SPLITS if split in results.splits()]
+    return [split for split in SHOWN if split in results.splits()]
 
 
 def _orders(results: Results) -> list[str]:
     """A sentence for each split on the order of the variants."""
-    found = [(SPLIT_LABELS[split].capitalize(), order(results, split)) for split in _splits(results)]
+    found = [(SPLITS[split].capitalize(), order(results, split)) for split in _splits(results)]
     return [
         f"{split}: {known[0]} of {tables.count(known[1], 'pair')} of variants in the paper’s order, "
         f"counting the pairs that the paper separates by more than {LEVEL} dB."

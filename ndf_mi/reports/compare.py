@@ -10,8 +10,7 @@ from pathlib import Path
 from ndf_mi.body.box import BOX_PADDING
 from ndf_mi.capture.capture import Capture
 from ndf_mi.experiments import metrics
-from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
-from ndf_mi.experiments.records import Results
+from ndf_mi.experiments.records import SPLITS, Results
 from ndf_mi.reports import page, tables, training
 from ndf_mi.reports.flicker import flicker_section
 from ndf_mi.reports.page import Fact
@@ -42,7 +41,7 @@ def write_report(path: str | os.PathLike[str], results: Results, capture: Captur
         path, "compare.html.j2",
         name=capture.name,
         results=results,
-        measured=[f"{about['measured'][split]} of {SPLIT_LABELS[split]}" for split in results.splits()],
+        measured=[f"{about['measured'][split]} of {SPLITS[split]}" for split in results.splits()],
         protocol=page.protocol_sentence(about),
         cards=_cards(results),
         headline=headline(results, _held_out(results)),
@@ -62,7 +61,7 @@ def write_report(path: str | os.PathLike[str], results: Results, capture: Captur
 
 def headline(results: Results, splits: Sequence[str]) -> Table:
     """The figures that the protocol puts first, on these splits."""
-    groups = [(SPLIT_LABELS[split].capitalize(), results, split) for split in splits]
+    groups = [(SPLITS[split].capitalize(), results, split) for split in splits]
     return tables.comparison(groups, results.about["protocol"]["headline"])
 
 
@@ -85,13 +84,13 @@ def _cards(results: Results) -> list[_Card]:
             f"{tables.signed('box_psnr', gain)} dB compared with {tables.lower(other.label)}"
             for gain, other in zip(gains, others, strict=True)
         ]
-        cards.append(_Card(f"{first.label}, {SPLIT_LABELS[split]}", tables.figure("box_psnr", mine), texts))
+        cards.append(_Card(f"{first.label}, {SPLITS[split]}", tables.figure("box_psnr", mine), texts))
     return cards
 
 
 def _full_table(results: Results, split: str) -> Table:
     pairs = sum(len(known.tpsnr) for known in results.methods[0].flicker if known.sequence.split == split)
     images = tables.count(results.about["measured"][split], "image")
-    caption = f"{SPLIT_LABELS[split].capitalize()}, means over {images}"
+    caption = f"{SPLITS[split].capitalize()}, means over {images}"
     caption += f"; tPSNR over {tables.count(pairs, 'pair')} of frames" if pairs else ""
     return tables.comparison([("", results, split)], tuple(metrics.LABELS), caption)

@@ -11,10 +11,8 @@ import numpy as np
 
 from ndf_mi.capture.capture import Capture
 from ndf_mi.experiments import metrics
-from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
-from ndf_mi.experiments.evaluate import SPLITS
 from ndf_mi.experiments.flicker import read_picture
-from ndf_mi.experiments.records import Flicker, FrameSequence, MethodResult, Results, View
+from ndf_mi.experiments.records import SPLITS, Flicker, FrameSequence, MethodResult, Results, View
 from ndf_mi.reports import charts, tables
 from ndf_mi.reports.charts import Chart
 from ndf_mi.reports.pictures import (
@@ -68,14 +66,14 @@ def flicker_section(results: Results, capture: Capture, pictures: Path) -> Secti
         capture: the truth.
         pictures: a folder for each method, by its key.
     """
-    known = sorted(results.methods[0].flicker, key=lambda flicker: SPLITS.index(flicker.sequence.split))
+    known = sorted(results.methods[0].flicker, key=lambda flicker: list(SPLITS).index(flicker.sequence.split))
     if not known:
         return None
     changes = [_load(results, capture, pictures, flicker.sequence) for flicker in known]
     top = error_scale([image for of in changes for row in (of.truth, *of.errors) for image in row])
     sequences = []
     for flicker, change in zip(known, changes, strict=True):
-        title = SPLIT_LABELS[flicker.sequence.split].capitalize()
+        title = SPLITS[flicker.sequence.split].capitalize()
         strips = _strips(results, flicker, change, top)
         sequences.append(ShownSequence(title, _describe(flicker, capture), strips))
     return Section([_chart(results, flicker) for flicker in known], sequences, top)
@@ -85,7 +83,7 @@ def _chart(results: Results, reference: Flicker) -> Chart:
     x = reference.sequence.frames[1:]
     found = ((method.label, _of(method, reference.sequence)) for method in results.methods)
     series = [(label, x, _finite(flicker.tpsnr)) for label, flicker in found if flicker is not None]
-    title = f"{SPLIT_LABELS[reference.sequence.split].capitalize()}: temporal PSNR"
+    title = f"{SPLITS[reference.sequence.split].capitalize()}: temporal PSNR"
     still = ("a still picture", x, _finite(reference.frozen))
     return charts.line_chart(series, "frame", "temporal PSNR (dB)", title, still)
 

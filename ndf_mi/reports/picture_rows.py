@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ndf_mi.capture.capture import Capture
-from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
 from ndf_mi.experiments.flicker import read_picture
-from ndf_mi.experiments.records import Results, View
+from ndf_mi.experiments.records import SPLITS, Results, View
 from ndf_mi.reports import tables
 from ndf_mi.reports.pictures import PictureRow, Shot, absolute_error, body_window, error_scale, view_row
 
@@ -39,7 +38,7 @@ def picture_rows(results: Results, capture: Capture, pictures: Path) -> Rows:
     shots = {view: _shots(results, capture, pictures, view) for chosen in views.values() for view in chosen}
     top = error_scale([shot.error for row in shots.values() for shot in row if shot.error is not None])
     rows = {split: [view_row(shots[view], view, top) for view in chosen] for split, chosen in views.items()}
-    return Rows({SPLIT_LABELS[split].capitalize(): found for split, found in rows.items()}, top)
+    return Rows({SPLITS[split].capitalize(): found for split, found in rows.items()}, top)
 
 
 def spread(results: Results, split: str, count: int, inner: bool = False) -> list[View]:

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ndf_mi.capture.capture import Capture
-from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
-from ndf_mi.experiments.records import Results
+from ndf_mi.experiments.records import SPLITS, Results
 from ndf_mi.reports import page, tables, training
 from ndf_mi.reports.page import Fact
 from ndf_mi.reports.picture_rows import picture_rows
@@ -51,7 +50,7 @@ def write_relight_report(
 def table(results: Mapping[str, Results]) -> Table:
     """The figures under each light on each split."""
     groups = [
-        (f"{light.capitalize()} light, {SPLIT_LABELS[split]}", measured, split)
+        (f"{light.capitalize()} light, {SPLITS[split]}", measured, split)
         for light, measured in results.items() for split in measured.splits()
     ]
     return tables.comparison(groups, METRICS)

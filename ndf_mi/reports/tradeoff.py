@@ -8,7 +8,7 @@ from pathlib import Path
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
 from ndf_mi.experiments import metrics
-from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
+from ndf_mi.experiments.records import SPLITS
 from ndf_mi.experiments.trade import memory
 from ndf_mi.experiments.trade.points import RUN
 from ndf_mi.experiments.trade.results import Row, Trade
@@ -103,7 +103,7 @@ def _earlier(trade: Trade) -> str:
 def _facts(trade: Trade) -> list[Fact]:
     about = trade.about
     views = [view["split"] for view in about["views"]]
-    images = ", ".join(f"{views.count(split)} of {SPLIT_LABELS[split]}" for split in dict.fromkeys(views))
+    images = ", ".join(f"{views.count(split)} of {SPLITS[split]}" for split in dict.fromkeys(views))
     size = " × ".join(map(str, about["size"]))
     errors = f"{images}, {size} pixels; {metrics.LABELS['box_psnr']}, mean over the images"
     run = about["run"]

@@ -9,9 +9,8 @@ import numpy as np
 from skimage.transform import resize
 
 from ndf_mi.capture.capture import Capture
-from ndf_mi.experiments.evaluate import LABELS as SPLIT_LABELS
 from ndf_mi.experiments.flicker import read_picture
-from ndf_mi.experiments.records import View
+from ndf_mi.experiments.records import SPLITS, View
 from ndf_mi.experiments.trade.results import Row, reference_of
 from ndf_mi.reports import tables
 from ndf_mi.reports.fronts import Group
@@ -52,7 +51,7 @@ def _row(group: Group, chosen: Sequence[int], view: View, capture: Capture, pict
     errors = [absolute_error(a, b) for a, b in zip(references, images, strict=True)]
     top = error_scale(errors)
     where = f"camera {view.camera}, frame {view.frame}"
-    shots = [Shot("Truth", truth[window], f"{SPLIT_LABELS[view.split]}, {where}")] if group.by_truth else []
+    shots = [Shot("Truth", truth[window], f"{SPLITS[view.split]}, {where}")] if group.by_truth else []
     if not group.by_truth or len({row.field for row in rows}) == 1:
         error = absolute_error(truth, converged)[window] if group.by_truth else None
         shots.append(Shot("Converged", converged[window], where, error))

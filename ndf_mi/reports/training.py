@@ -61,7 +61,7 @@ def curves(results: Results) -> Chart | None:
 
 def metadata_fact(method: MethodResult) -> Fact:
     """Everything that a method reports of itself, except its curve and its note."""
-    hidden = ("history", "note")
+    hidden = ("history", "note", "capture")  # printed elsewhere
     shown = {key: value for key, value in method.metadata.items() if key not in hidden and value is not None}
     plain = {key: value for key, value in shown.items() if not isinstance(value, (Mapping, list, tuple))}
     nested = {key: value for key, value in shown.items() if isinstance(value, Mapping) and value}
