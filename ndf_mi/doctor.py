@@ -36,9 +36,11 @@ EXTRAS = {
 PROBE = """
 import sys, ndf_mi, mitsuba as mi, drjit as dr
 mi.set_variant(sys.argv[1])
-image = mi.render(mi.load_dict({"type": "scene", "integrator": {"type": "path"},
-    "light": {"type": "constant"}, "ball": {"type": "sphere"}, "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at(
-    [0, 0, 4], [0, 0, 0], [0, 1, 0]), "film": {"type": "hdrfilm", "width": 8, "height": 8}}}), spp=4)
+camera = mi.ScalarTransform4f().look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
+film = {"type": "hdrfilm", "width": 8, "height": 8}
+image = mi.render(mi.load_dict({
+    "type": "scene", "integrator": {"type": "path"}, "light": {"type": "constant"},
+    "ball": {"type": "sphere"}, "sensor": {"type": "perspective", "to_world": camera, "film": film}}), spp=4)
 assert float(dr.mean(dr.maximum(image, 0), axis=None).array[0]) > 0
 """
 

@@ -131,8 +131,8 @@ class _Unpickler(_Reader):
             # Anything else than a name is shown escaped.
             full = f"{module}.{name}"
             shown = full if re.fullmatch(r"[\w.]{1,100}", full) else ascii(full)[:100]
-            repair = ("Nothing in it has been run. If you trust the file, load it with the program that wrote "
-                      "it, and save its arrays with numpy.savez.")
+            repair = ("Nothing in it has been run. If you trust the file, load it with the program that "
+                      "wrote it, and save its arrays with numpy.savez.")
             raise InputError(self._where, f"a pickle that names {shown}", _ADMITTED, repair)
         return found
 

@@ -18,6 +18,7 @@ import trimesh
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from winding import winding_number
 
 from ndf_mi.body.anny import load_anny
 from ndf_mi.body.poses import Poses
@@ -166,17 +167,6 @@ def test_another_light_changes_the_images_and_nothing_else(tiny: Path, tmp_path:
 def test_impossible_settings_name_the_option(change: dict[str, int]) -> None:
     with pytest.raises(InputError, match=f"--{next(iter(change)).replace('_', '-')}|--train-cameras"):
         replace(TINY, **change)
-
-
-def winding_number(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """1 inside and 0 outside of a closed surface: the sum of solid angles (van Oosterom and Strackee
-    1983).
-    """
-    a, b, c = (triangles[None, :, i] - points[:, None] for i in range(3))
-    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-    volume = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
-    below = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
-    return np.arctan2(volume, below).sum(axis=1) / (2 * np.pi)
 
 
 def test_clothes_stand_off_the_body_and_stay_out_of_it(performer: Performer, poses: Poses) -> None:
