@@ -209,7 +209,7 @@ def _read_offset(reader: _Reader) -> list[float]:
 
 def _read_channels(reader: _Reader) -> list[str]:
     count = reader.word("the number of channels")
-    if not count.isdigit() or int(count) > 6:
+    if not (count.isdecimal() and len(count) == 1 and int(count) <= 6):
         raise InputError(reader.where, repr(count), "a number of channels from 0 to 6")
     channels = [reader.word("a channel") for _ in range(int(count))]
     known = {c.lower(): c for c in _CHANNELS}
@@ -225,7 +225,7 @@ def _read_channels(reader: _Reader) -> list[str]:
 def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
     reader.expect("Frames:")
     count = reader.word("the number of frames")
-    if not count.isdigit() or int(count) == 0:
+    if not (count.isdecimal() and len(count) < 10 and int(count) > 0):
         raise InputError(reader.where, repr(count), "a number of frames above 0")
     reader.expect("Frame")
     reader.expect("Time:")
@@ -235,13 +235,13 @@ def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
     width = sum(map(len, skeleton.channels))
     labels = [f"{name} {channel}"
               for name, own in zip(skeleton.names, skeleton.channels, strict=True) for channel in own]
-    values = np.empty((int(count), width))
+    values = []  # grows with the file, whatever number of frames it claims
     for frame in range(int(count)):
         words = reader.rest(f"frame {frame + 1} of {count}").split()
         if len(words) != width:
             raise InputError(reader.where, f"{len(words)} numbers", f"{width}, one for each channel")
-        values[frame] = _numbers(reader.where, words, labels, frame + 1)
-    positions, rotations = _decode(skeleton, values)
+        values.append(_numbers(reader.where, words, labels, frame + 1))
+    positions, rotations = _decode(skeleton, np.array(values))
     return Clip(name=reader.path.stem, joint_names=tuple(skeleton.names),
                 parents=np.array(skeleton.parents, dtype=np.int32), offsets=np.array(skeleton.offsets),
                 end_sites=skeleton.ends, frame_time=frame_time, positions=positions, rotations=rotations)
