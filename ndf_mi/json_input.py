@@ -27,7 +27,7 @@ def load_json(path: Path) -> Any:
         ValueError: the file cannot be read, is not JSON, or is nested too deep for Python's reader.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise
     except OSError as error:

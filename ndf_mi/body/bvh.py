@@ -96,7 +96,7 @@ def read_bvh(path: str | os.PathLike[str]) -> Clip:
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:
         raise InputError(path, "no such file", "a BVH file") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -191,13 +191,17 @@ def _read_joints(reader: _Reader, skeleton: _Skeleton) -> None:
 
 def _open_joint(reader: _Reader, skeleton: _Skeleton, parent: int) -> int:
     """Reads a joint's name, opening brace and offset; returns its index."""
-    name = reader.rest("a joint's name")
+    name, brace, rest = reader.rest("a joint's name").partition("{")
+    name = name.strip()
+    if rest or not name:
+        raise InputError(reader.where, repr(name + brace + rest), "a joint's name, then {")
     if name in skeleton.names:
         raise InputError(reader.where, f"a second joint {name!r}", "each name once")
     skeleton.names.append(name)
     skeleton.parents.append(parent)
     skeleton.channels.append([])
-    reader.expect("{")
+    if not brace:
+        reader.expect("{")
     skeleton.offsets.append(_read_offset(reader))
     return len(skeleton.names) - 1
 
@@ -265,8 +269,13 @@ def _decode(skeleton: _Skeleton, values: np.ndarray) -> tuple[np.ndarray, np.nda
     rotations = np.tile(np.eye(3), (count, len(skeleton.names), 1, 1))
     at = 0
     for joint, channels in enumerate(skeleton.channels):
+        moves = [at + i for i, channel in enumerate(channels) if channel.endswith("position")]
+        # Some programs write position channels for all joints, and leave them at zero.
+        unused = joint > 0 and not values[:, moves].any()
         for channel in channels:
-            if channel.endswith("position"):
+            if channel.endswith("position") and unused:
+                pass
+            elif channel.endswith("position"):
                 positions[:, joint, "XYZ".index(channel[0])] = values[:, at]
             else:
                 turn = Rotation.from_euler(channel[0], values[:, at : at + 1], degrees=True).as_matrix()

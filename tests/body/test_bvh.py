@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +58,26 @@ def test_arm(tmp_path: Path) -> None:
     # Last frame: the upper arm is turned by Rz(90)·Rx(90), the elbow by Rz(90) inside it: x → y → Rz(90)·z =
     # z.
     np.testing.assert_allclose(tips(clip), [[7, 0, 0], [14, 3, 0], [0, 4, 3]], atol=1e-12)
+
+
+def with_positions_at_zero(text: str) -> str:
+    """The arm with position channels for the forearm, all zero."""
+    text = text.replace("CHANNELS 3 Z", "CHANNELS 6 Xposition Yposition Zposition Z")
+    head, time, frames = text.partition("Frame Time: 0.5\n")
+    rows = [line.split() for line in frames.splitlines()]
+    return head + time + "".join(" ".join([*row[:6], "0 0 0", *row[6:]]) + "\n" for row in rows)
+
+
+@pytest.mark.parametrize("change", [
+    lambda text: "\ufeff" + text,
+    lambda text: re.sub(r"(ROOT|JOINT) (\w+)\n\s*{", r"\1 \2 {", text),
+    lambda text: with_positions_at_zero(text),
+], ids=["byte order mark", "brace on the line of the name", "position channels at zero"])  # fmt: skip
+def test_other_ways_to_write_the_same(tmp_path: Path, change: Callable[[str], str]) -> None:
+    plain, found = read_bvh(write(tmp_path, ARM)), read_bvh(write(tmp_path, change(ARM)))
+    np.testing.assert_array_equal(found.offsets, plain.offsets)
+    np.testing.assert_array_equal(found.positions, plain.positions)
+    np.testing.assert_array_equal(found.rotations, plain.rotations)
 
 
 def test_channel_order(tmp_path: Path) -> None:
