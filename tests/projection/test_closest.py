@@ -103,22 +103,6 @@ def test_sign_at_a_sharp_corner(chart: Callable, points: Callable) -> None:
     np.testing.assert_array_equal((p["l"] < 0)[clear], (outside.max(1) < 0)[clear])
 
 
-def winding_number(triangles: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Sum of the triangles' solid angles over 4π (Van Oosterom and Strackee, 1983)."""
-    a, b, c = (triangles[None, :, k] - x[:, None] for k in range(3))
-    la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
-    below = la * lb * lc + (a * b).sum(2) * lc + (b * c).sum(2) * la + (c * a).sum(2) * lb
-    return np.arctan2((a * np.cross(b, c)).sum(2), below).sum(1) / (2 * np.pi)
-
-
-def test_sign_of_a_bumpy_body_by_winding_number(mesh: Any, scatter: Callable, points: Callable) -> None:
-    x = scatter(mesh, 1000, 0.15)
-    number = winding_number(mesh.vertices[mesh.faces], x)
-    np.testing.assert_allclose(number, np.round(number), atol=1e-9)
-    p = values(mesh.pose().project(points(x)))
-    np.testing.assert_array_equal(p["l"] < 0, number > 0.5)
-
-
 def test_texel_gives_the_point_back_at_every_seam(mesh: Any, scatter: Callable, points: Callable) -> None:
     rng = np.random.default_rng(3)
     edges = mesh.faces[rng.integers(len(mesh.faces), size=500)]
@@ -164,20 +148,6 @@ def test_a_lone_triangle_of_any_size(size: float, chart: Callable, points: Calla
     p = values(posed.project(points(x)))
     np.testing.assert_allclose(p["l"][:2], [0.1, -0.1], rtol=1e-5)
     np.testing.assert_allclose(np.abs(p["l"][2:]), [0.1, np.sqrt(0.02)], rtol=1e-5, atol=4e-6 * size)
-
-
-@pytest.mark.parametrize("third", [[1.0, 0, 0], [0.5, 0, 0], [0.5, 1e-7, 0], [0, 0, 0]])
-def test_slivers_are_segments(third: list[float], chart: Callable, points: Callable) -> None:
-    vertices = np.array([[0.0, 0, 0], [1, 0, 0], third, [0, 5, 5], [1, 5, 5], [0, 6, 5]])
-    posed = chart(vertices, np.array([[0, 1, 2], [3, 4, 5]])).pose(0.5)
-    rng = np.random.default_rng(5)
-    x = (rng.uniform(-0.3, 0.3, (300, 3)) + [[0.5, 0, 0]] * np.array([[1], [2], [0]]).repeat(100, 0)).astype(np.float32)
-    p = values(posed.project(points(x)))
-    along = np.clip(x[:, 0], 0, 1)
-    distance = np.linalg.norm(x - np.stack([along, 0 * along, 0 * along], axis=1), axis=1)
-    valid = p["valid"].astype(bool)
-    assert valid.sum() > 200 and all(np.isfinite(value.astype(float)).all() for value in p.values())
-    np.testing.assert_allclose(np.abs(p["l"][valid]), distance[valid], atol=1e-6)
 
 
 def test_open3d_agrees_on_the_body(chart: Callable, points: Callable) -> None:
