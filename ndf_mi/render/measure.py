@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from ndf_mi.body.box import padded_box
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.pixels import box_pixels
 from ndf_mi.capture.viewpoint import framing
-from ndf_mi.render.cost import CostModel, Sample
+from ndf_mi.render.cost import Sample
 from ndf_mi.render.image import Work
 from ndf_mi.render.settings import Setting, converged
 from ndf_mi.run import Run
@@ -34,20 +34,23 @@ class Plan:
     """What is measured.
 
     Attributes:
-        half: samples per ray by cutoff, measured at half of the width and height, with errors. Not only
-            powers of two: these would all fill their padded arrays equally, and the cost of padding could not
-            be separated from that of samples.
-        whole: the same at the whole width and height, without errors.
+        half: settings measured at half of the width and height, with errors. Not only powers of two: these
+            would all fill their padded arrays equally, and the cost of padding could not be separated from
+            that of samples.
+        whole: settings measured at the whole width and height, without errors.
         azimuths: of the views, in degrees around the body; the frames are spread over the run's.
         repeats: timings of each image.
     """
 
-    half: Mapping[float, tuple[int, ...]] = field(
-        default_factory=lambda: {CUTOFFS[0]: (8, 16, 28, 64, 112, 256), CUTOFFS[1]: (8, 40, 128)})
-    whole: Mapping[float, tuple[int, ...]] = field(
-        default_factory=lambda: {CUTOFFS[0]: (16, 64, 224), CUTOFFS[1]: (32,)})
+    half: tuple[Setting, ...] = (
+        *(Setting(n, CUTOFFS[0]) for n in (8, 16, 28, 64, 112, 256)),
+        *(Setting(n, CUTOFFS[1]) for n in (8, 40, 128)))
+    whole: tuple[Setting, ...] = (*(Setting(n, CUTOFFS[0]) for n in (16, 64, 224)), Setting(32, CUTOFFS[1]))
     azimuths: tuple[float, ...] = (0.0, 120.0)
     repeats: int = 3
+
+
+FULL = Plan()
 
 
 @dataclass(frozen=True)
@@ -62,10 +65,6 @@ class Profile:
 
     samples: list[Sample]
     opacity: float
-
-    def model(self) -> CostModel:
-        """Time and error as functions of the setting."""
-        return CostModel(self.samples)
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,7 @@ class _View:
 
 
 def measure(
-    run: Run, size: tuple[int, int], geometry: bool, report: Callable[[str], None], plan: Plan | None = None,
+    run: Run, size: tuple[int, int], geometry: bool, report: Callable[[str], None], plan: Plan = FULL,
     clock: Clock = time.perf_counter) -> Profile:
     """Measures settings in views of the run.
 
@@ -100,14 +99,12 @@ def measure(
         size: width and height of the images that the profile is for.
         geometry: whether (u, v, l) and normals are rendered as well.
         report: receives progress messages.
-        plan: what is measured; by default the full plan.
+        plan: what is measured.
         clock: seconds.
     """
-    plan = plan or Plan()
     whole, half = _sizes(size)
     views = _views(run, plan.azimuths)
-    jobs = [(pixels, Setting(n, cutoff)) for pixels, each in ((half, plan.half), (whole, plan.whole))
-            for cutoff, counts in each.items() for n in counts]
+    jobs = [*((half, setting) for setting in plan.half), *((whole, setting) for setting in plan.whole)]
     works: list[list[Work]] = [[] for _ in jobs]
     errors: list[list[float]] = [[] for _ in jobs]
     opacities = []
@@ -120,7 +117,7 @@ def measure(
         for index, (pixels, setting) in enumerate(jobs):
             image = setting.image(run, view.frame, view.camera(pixels), geometry)
             works[index].append(image.work)
-            if index < sum(map(len, plan.half.values())) and mask.any():
+            if index < len(plan.half) and mask.any():
                 difference = image.over(run.background) - truth.over(run.background)
                 errors[index].append(float(np.mean(np.square(difference)[mask])))
     seconds: list[list[list[float]]] = [[[] for _ in views] for _ in jobs]
@@ -135,24 +132,21 @@ def measure(
         counts = {
             name: statistics.mean(getattr(one, name) for one in work)
             for name in ("tiles", "lanes", "evaluated", "launched")}
-        samples.append(
-            Sample(
-                setting.samples, setting.cutoff, **counts,
-                seconds=statistics.mean(map(statistics.median, times)),
-                error=statistics.mean(error) if error else None)
-        )
+        samples.append(Sample(
+            setting.samples, setting.cutoff, **counts, seconds=statistics.mean(map(statistics.median, times)),
+            error=statistics.mean(error) if error else None))
     return Profile(samples, statistics.mean(opacities))
 
 
-def pace(run: Run, size: tuple[int, int], geometry: bool, profile: Profile, clock: Clock = time.perf_counter,
-         plan: Plan | None = None) -> float:
+def pace(
+    run: Run, size: tuple[int, int], geometry: bool, profile: Profile, plan: Plan = FULL,
+    clock: Clock = time.perf_counter) -> float:
     """How many times as long rendering takes now as when the profile was measured; 1 where the profile cannot
     tell.
 
     Processors, above all shared ones, do not keep one speed. Some of the profile's images are rendered again,
     in a second or two.
     """
-    plan = plan or Plan()
     known = [
         s.seconds for s in profile.samples
         if (s.samples, s.cutoff) == (PACE.samples, PACE.cutoff) and s.error is not None]

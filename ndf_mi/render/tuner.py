@@ -144,7 +144,7 @@ def choose(
     slowdown = pace(run, (camera.w, camera.h), geometry, profile) if budget is not None else 1.0
     if not 1 / (1 + PACE_CHANGE) <= slowdown <= 1 + PACE_CHANGE:
         report(f"images take {slowdown:.2g} times as long now as when the profile was measured")
-    choices = candidates(profile.model(), probe(run.posed(frame), camera), own, slowdown)
+    choices = candidates(CostModel(profile.samples), probe(run.posed(frame), camera), own, slowdown)
     if error is not None:
         return within_error(choices, error)
     assert budget is not None

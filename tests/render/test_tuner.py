@@ -12,6 +12,7 @@ from ndf_mi.capture.viewpoint import framing
 from ndf_mi.commands import main
 from ndf_mi.errors import InputError
 from ndf_mi.render import profile
+from ndf_mi.render.cost import CostModel
 from ndf_mi.render.measure import CUTOFFS
 from ndf_mi.render.settings import Setting
 from ndf_mi.render.tuner import (
@@ -51,7 +52,7 @@ def test_losses():
 
 
 def choices(own=OWN, slowdown=1.0):
-    return candidates(known_profile().model(), statistics(1000), own, slowdown)
+    return candidates(CostModel(known_profile().samples), statistics(1000), own, slowdown)
 
 
 @pytest.mark.parametrize("budget", [0.0508, 0.06, 0.09, 0.3])
