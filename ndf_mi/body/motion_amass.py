@@ -42,7 +42,7 @@ def play_amass(
             not finite (with frame and joint); the frame rate is missing; or the motion lacks joints of the
             body.
     """
-    clip, betas = read_amass(path, up)
+    clip = read_amass(path, up)
     times = frame_times(clip.duration, fps)
     names = smpl_names(body)
     if names is None:
@@ -50,7 +50,8 @@ def play_amass(
     clip = clip.at(times)
     joints = shaped_joints(body, shape)
     root, ratio = joints[0], 1.0
-    if betas is not None and body.joint_dirs is not None:
+    betas = None if body.joint_dirs is None else _betas(Path(path))
+    if betas is not None:
         known = np.zeros(body.shape_count)
         known[: len(betas)] = betas[: body.shape_count]
         theirs = shaped_joints(body, known)
@@ -66,15 +67,15 @@ def play_amass(
     return Motion(pose.astype(np.float32), rotation.astype(np.float32), path_of_origin.astype(np.float32))
 
 
-def read_amass(path: str | os.PathLike[str], up: Up = "z") -> tuple[Clip, np.ndarray | None]:
-    """The file as a clip of SMPL's joints, y up, and its ``betas``. The positions of the root are ``trans``,
-    without its rest position; the offsets of other joints, which the file does not have, are zero.
+def read_amass(path: str | os.PathLike[str], up: Up = "z") -> Clip:
+    """The file as a clip of SMPL's joints, y up. The positions of the root are ``trans``, without its rest
+    position; the offsets of other joints, which the file does not have, are zero.
 
     Raises:
         InputError: see `play_amass`.
     """
     path = Path(path)
-    found = arrays.read_npz(path, ("poses", "trans"), (*RATES, "betas"))
+    found = arrays.read_npz(path, ("poses", "trans"), RATES)
     poses, trans = found["poses"], found["trans"]
     rate = _rate(path, found)
     width = int(np.prod(poses.shape[1:]))
@@ -97,9 +98,16 @@ def read_amass(path: str | os.PathLike[str], up: Up = "z") -> tuple[Clip, np.nda
     positions = np.zeros((count, len(names), 3))
     positions[:, 0] = trans @ upright.T
     offsets = np.zeros((len(names), 3))
-    clip = Clip(path.stem, names, parents(names), offsets, {}, 1 / rate, positions, rotations)
-    betas = found.get("betas")
-    return clip, None if betas is None else arrays.floats(f"{path}: betas", betas, (None,)).astype(np.float64)
+    return Clip(path.stem, names, parents(names), offsets, {}, 1 / rate, positions, rotations)
+
+
+def _betas(path: Path) -> np.ndarray | None:
+    """The shape coefficients of the file, (B,) or (1, B); None if it has none."""
+    betas = arrays.read_npz(path, (), ("betas",)).get("betas")
+    if betas is None:
+        return None
+    flat = betas[0] if betas.ndim == 2 and len(betas) == 1 else betas
+    return arrays.floats(f"{path}: betas", flat, (None,)).astype(np.float64)
 
 
 def _rate(path: Path, found: dict[str, np.ndarray]) -> float:

@@ -95,17 +95,25 @@ def test_rotations_between_frames_take_the_shorter_way(smpl: Body, tmp_path: Pat
     np.testing.assert_allclose(motion.translation, np.outer(np.arange(5) / 4, [0, 0, 1]), atol=1e-6)
 
 
-def test_the_path_follows_the_legs(smpl: Body, tmp_path: Path) -> None:
+@pytest.mark.parametrize("betas", [[0.25, 3.0], [[0.25, 3.0]]])
+def test_the_path_follows_the_legs(smpl: Body, tmp_path: Path, betas: list) -> None:
     """The file's performer is 1.25 times the template, the body 0.5 times: the root goes 0.4 times as far,
     from 0.4 times as high.
     """
-    path = write(tmp_path / "a.npz", betas=np.array([0.25, 3.0]))
+    path = write(tmp_path / "a.npz", betas=np.array(betas))
     found = np.load(path)
     shape = np.array([-0.5])
     motion = play_amass(smpl, path, 60.0, shape=shape)
     for row in (0, 100):
         x, y, z = 0.4 * (1.25 * smpl.joints[0] + found["trans"][row])
         np.testing.assert_allclose(posed_joints(smpl, motion, row, shape)[0], [x, z, -y], atol=1e-5)
+
+
+def test_betas_that_are_not_used_are_not_read(anny: Body, smpl: Body, tmp_path: Path) -> None:
+    path = write(tmp_path / "a.npz", betas=np.array([None], dtype=object))
+    assert len(play_amass(anny, path, 3.0).pose)
+    with pytest.raises(InputError, match="betas"):
+        play_amass(smpl, path, 3.0)
 
 
 def anny_bones(

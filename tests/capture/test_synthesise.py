@@ -169,6 +169,7 @@ def test_impossible_settings_name_the_option(change: dict[str, int]) -> None:
         replace(TINY, **change)
 
 
+@pytest.mark.long
 def test_clothes_stand_off_the_body_and_stay_out_of_it(performer: Performer, poses: Poses) -> None:
     naked = trimesh.Trimesh(poses.vertices[1], performer.body.faces, process=False)
     surface = cKDTree(trimesh.sample.sample_surface(naked, 100_000, seed=0)[0])
