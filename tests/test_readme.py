@@ -56,6 +56,14 @@ def test_links_lead_somewhere(page):
             }, target
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_are_named_exist(page):
+    named = re.findall(
+        r"`((?:ndf_mi|plugins|scenes|tests|benchmarks|docs)/[\w./-]+)`", page.read_text(encoding="utf-8")
+    )
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
 def test_every_command_has_a_line_in_the_manual():
     manual = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     named = re.findall(r"(?:^|`)ndf-mi ([a-z]+(?: (?:synthesise|check|import))?)", README + manual, re.M)
