@@ -26,8 +26,7 @@ def describe() -> dict[str, str]:
 
 
 def usable_cores(quotas: Sequence[float]) -> float:
-    """Cores that this process may use: those it may run on, or the least of the `quotas` of its control
-    groups, if that is less."""
+    """Cores that this process may use: those it may run on, or the least of the `quotas`, if that is less."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min([float(cores), *quotas])
 
@@ -35,8 +34,7 @@ def usable_cores(quotas: Sequence[float]) -> float:
 def cpu_quotas(
     root: str | os.PathLike[str] = "/sys/fs/cgroup", own: str | os.PathLike[str] = "/proc/self/cgroup"
 ) -> list[float]:
-    """CPU time, in cores, that the control groups of this process and their parents allow; one entry for each
-    group with a limit.
+    """CPU time, in cores, that each limited control group of this process, or parent of one, allows.
 
     Args:
         root: where control groups are mounted, version 1 or 2.

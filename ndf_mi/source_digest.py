@@ -1,5 +1,4 @@
-"""Digests of the package's own sources: results that are kept on disk become stale when the code that made
-them changes."""
+"""Digests of the package's sources, by which stored results become stale when the code changes."""
 
 from __future__ import annotations
 
@@ -13,8 +12,8 @@ import ndf_mi
 
 @functools.cache
 def code_digest() -> str:
-    """SHA-256 (hex) of the sources that images are rendered by. Version numbers do not change while code is
-    being edited; this does."""
+    """SHA-256 (hex) of the sources that images are rendered by; unlike a version, it changes with every
+    edit."""
     modules = ("model.py", "run.py", "numerics.py", "coordinates.py", "colour.py", "variants.py")
     return sources_digest("render", "field", "projection", *modules)
 

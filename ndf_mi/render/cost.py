@@ -74,8 +74,7 @@ class CostModel:
         return float(self.coefficients[0] + setting.spp * self.coefficients[1:] @ row[1:])
 
     def error(self, setting: Setting) -> float:
-        """Predicted mean squared error in sRGB against the converged image; an upper bound where
-        :meth:`beyond`."""
+        """Predicted mean squared error in sRGB against the converged image; a bound where :meth:`beyond`."""
         log_samples, log_errors = self._errors[setting.cutoff]
         x = math.log(setting.samples)
         if len(log_samples) > 1 and x < log_samples[0]:

@@ -141,8 +141,7 @@ def measure(
 def pace(
     run: Run, size: tuple[int, int], geometry: bool, profile: Profile, plan: Plan = FULL,
     clock: Clock = time.perf_counter) -> float:
-    """How many times as long rendering takes now as when the profile was measured; 1 where the profile cannot
-    tell.
+    """How many times as long rendering takes now as when the profile was measured; 1 if unknown.
 
     Processors, above all shared ones, do not keep one speed. Some of the profile's images are rendered again,
     in a second or two.

@@ -1,5 +1,4 @@
-"""Profiles: how fast this machine renders a run, and how accurately, kept on disk until the run, the machine
-or the code changes.
+"""Profiles on disk: how fast and how accurately this machine renders a run.
 
 A profile is a file in ``$XDG_CACHE_HOME/ndf-mi/profiles``, or ``~/.cache/ndf-mi/profiles``: one for each run,
 image size and machine.
@@ -30,8 +29,7 @@ VERSION = 3
 
 @dataclass(frozen=True)
 class Key:
-    """What a profile is valid for. Run, size and machine select its file; it is stale if anything else
-    differs.
+    """What a profile is valid for: run, size and machine select its file; anything else makes it stale.
 
     Attributes:
         run: the folder.
@@ -50,8 +48,7 @@ class Key:
 
     @classmethod
     def of(cls, run: Run, size: tuple[int, int], geometry: bool) -> Key:
-        """The current key. `geometry`: whether (u, v, l) and normals are rendered as well, which takes
-        longer."""
+        """The current key; `geometry` is whether (u, v, l) and normals are rendered as well."""
         return cls(
             str(run.path.resolve()), field_digest(run), code_digest(), size, geometry, machine.describe())
 
@@ -116,8 +113,7 @@ def write(key: Key, profile: Profile) -> None:
 
 
 def read(key: Key) -> tuple[Profile | None, str]:
-    """The profile stored for a key; or None and the reason: there is none, it can't be read, or it is
-    stale."""
+    """The profile stored for a key; or None, and why: none is stored, it can't be read, or it is stale."""
     try:
         stored = msgspec.json.decode(key.file.read_bytes(), type=_File)
     except FileNotFoundError:

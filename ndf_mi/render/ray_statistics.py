@@ -1,5 +1,4 @@
-"""Estimates what rendering a view takes from a few of its rays, for any number of samples and any early
-termination."""
+"""Estimates the work of rendering a view from a few of its rays, for any samples and early termination."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ class RayStatistics:
     before: np.ndarray
 
     def counts(self, setting: Setting) -> Counts:
-        """The counts of an image with one ray per pixel. As in rendering, opaque rays drop out of later
-        rounds.
+        """Counts of an image with one ray per pixel. Opaque rays drop out of later rounds, as in rendering.
 
         Raises:
             ValueError: the setting does not render rays in `ROUNDS` rounds.

@@ -54,8 +54,8 @@ class Setting:
         return ImageRenderer(self.samples, spp=self.spp, cutoff=self.cutoff, stratified=self.stratified)
 
     def image(self, run: Run, frame: int, camera: Camera, geometry: bool = False) -> Image:
-        """The image at the resolution that is rendered. It poses the body again, because each frame of a
-        video has to."""
+        """The image at the resolution that is rendered. The body is posed again, as for each frame of a
+        video."""
         row = run.poses.index(frame)
         posed = run.posed_as(run.poses.vertices[row], run.poses.pose[row], self.networks)
         return self.renderer()(posed, self.camera(camera), geometry)
@@ -67,8 +67,7 @@ class Setting:
         return camera.scaled(*(max(round(self.size * side), 1) for side in (camera.w, camera.h)))
 
     def picture(self, run: Run, frame: int, camera: Camera) -> np.ndarray:
-        """(h, w, 3) float32 sRGB in [0, 1] over the run's background, at the camera's full resolution; fully
-        evaluated."""
+        """(h, w, 3) float32 sRGB in [0, 1] over the run's background, at the camera's full resolution."""
         picture = self.image(run, frame, camera).over(run.background)
         if picture.shape[:2] != (camera.h, camera.w):
             picture = resize(picture, (camera.h, camera.w), order=1, mode="edge", anti_aliasing=False).astype(

@@ -35,8 +35,7 @@ def icosphere(subdivisions: int = 2, radius: float = RADIUS) -> tuple[np.ndarray
 
 
 def charts(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Texture coordinates (3F, 2) and their indices (F, 3) in which each of `count` triangles is a chart:
-    every edge is a seam."""
+    """Texture coordinates (3F, 2) and indices (F, 3) in which each of `count` triangles is a chart."""
     side = int(np.ceil(np.sqrt(count)))
     corner = np.stack([np.arange(count) % side, np.arange(count) // side], 1)
     offsets = np.array([[0.1, 0.1], [0.8, 0.2], [0.3, 0.9]])
@@ -45,8 +44,7 @@ def charts(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def looking(origin: np.ndarray, forward: np.ndarray, size: int = 8, focal: float = 1.0) -> Camera:
-    """A camera at `origin` whose focal length is `focal` times the width of its images of `size` × `size`
-    pixels."""
+    """A camera at `origin` with `size` × `size` pixels and a focal length of `focal` times their width."""
     back = -forward / np.linalg.norm(forward)
     right = np.cross([0.31, 0.9, 0.2], back)
     right /= np.linalg.norm(right)
@@ -107,8 +105,8 @@ class Ridge:
 def ridge(
     place: tuple[float, float, float] = (0.0, 0.0, 0.0), size: float = 1.0, srgb: float = GREY
 ) -> Iterator[Ridge]:
-    """A ridge in a temporary folder, around the ball enlarged by `size` and moved to `place`. Its band grows
-    with it."""
+    """A ridge in a temporary folder, around the ball times `size`, moved to `place`; its band grows with
+    it."""
     vertices, faces = icosphere(radius=RADIUS * size)
     vertices = (vertices.astype(np.float64) + place).astype(np.float32)
     uv, uv_faces = charts(len(faces))

@@ -85,7 +85,7 @@ class Check:
             primal: largest relative error of the values.
             gradient: the same of the gradients. Omitted only in cases without gradients; None where this
                 point has none.
-            at: where in the range, if the test's parameters do not tell.
+            at: where in the range; by default, the test's parameters.
         """
         if self._case.gradient is None:
             assert gradient is not None and math.isnan(gradient), "a case without gradients"
@@ -96,8 +96,8 @@ class Check:
 
 
 def error(found: Any, expected: Any, scale: Any = None) -> float:
-    """The largest difference between two arrays, entry by entry relative to `scale`, by default the magnitude
-    of `expected`.
+    """The largest difference between two arrays, relative to `scale`, by default |`expected`|, entry by
+    entry.
 
     Differences below :data:`LEAST` count as none; the result is infinite where an entry of `found` is not
     finite.

@@ -12,8 +12,7 @@ _AT_ONCE = 1 << 21
 
 @dataclass(frozen=True)
 class Closest:
-    """The closest points to N queries: `triangle` (N,), `weights` (N, 3) of its corners, and `distance`
-    (N,)."""
+    """The closest points to N queries: `triangle`, `weights` of its corners (N, 3), and `distance`."""
 
     triangle: np.ndarray
     weights: np.ndarray

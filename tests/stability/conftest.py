@@ -1,5 +1,4 @@
-"""What the cases share: the fixture that holds errors against tolerances, and a field with a known
-density."""
+"""Fixtures of the cases: the comparison of errors with tolerances, and a field of known density."""
 
 from __future__ import annotations
 

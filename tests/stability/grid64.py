@@ -1,5 +1,4 @@
-"""The multiresolution hash grid in float64, from the same table (Müller et al. 2022, *Instant Neural Graphics
-Primitives*)."""
+"""The multiresolution hash grid (Müller et al. 2022) in float64, from the same table."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""What rays see of a ridge, in float64: the same intervals as the renderer, the closest of all triangles, the
-formula of the density."""
+"""What rays see of a ridge, in float64: the renderer's intervals, the closest triangle, the density's
+formula."""
 
 from __future__ import annotations
 
@@ -34,8 +34,7 @@ def interval(
 
 
 def march(ridge: Ridge, origin: np.ndarray, direction: np.ndarray, samples: int) -> Seen:
-    """Quadrature along rays, origins and unit directions (N, 3), in as many equal intervals as the renderer
-    takes.
+    """Quadrature along rays, origins and unit directions (N, 3), in the renderer's intervals.
 
     Raises:
         ValueError: the box of the run's surface does not contain the band.

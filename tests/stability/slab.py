@@ -14,8 +14,7 @@ GREY = 0.7
 
 
 class Slab:
-    """A `VolumeField` in the box [0, N] × [0, 1] × [0, length], with constant density and colour in equal
-    intervals along z.
+    """A `VolumeField` in the box [0, N] × [0, 1] × [0, length], constant in equal intervals along z.
 
     Args:
         sigma: (N, S) densities in 1/m of N unit columns along x, interval by interval.
@@ -102,8 +101,7 @@ def integrate(sigma: np.ndarray, colour: np.ndarray, length: float) -> Truth:
 
 def integrate_two(first: np.ndarray, second: np.ndarray, red: np.ndarray, blue: np.ndarray) -> tuple[
         np.ndarray, np.ndarray, list[np.ndarray], list[np.ndarray]]:
-    """Quadrature of two fields in the same intervals, each of constant optical depth and colour there, (N,
-    S).
+    """Quadrature of two fields with constant optical depths and colours (N, S) in the same intervals.
 
     L = Σ_i T_i φ(s_i) (τ_1 c_1 + τ_2 c_2), s = τ_1 + τ_2, φ(s) = (1 − e^−s) / s
 

@@ -96,8 +96,7 @@ def skinned64(
 
 
 def derivative(function: Callable[[np.ndarray], float], at: np.ndarray, step: float) -> np.ndarray:
-    """The gradient of a smooth function by central differences, extrapolated once (Richardson), in
-    float64."""
+    """The gradient of a smooth function by central differences, extrapolated once (Richardson)."""
     found = np.zeros(at.shape)
     for index in np.ndindex(at.shape):
         way = np.zeros(at.shape)

@@ -148,8 +148,7 @@ def test_cameras_by_path_tracing(check: Check, dark_ball: Ridge, view: str) -> N
     relative_to=STANDARD_ERROR)
 @pytest.mark.parametrize("view", ["outside", "deep in the body", "grazing the surface"])
 def test_gradients_by_path_tracing(check: Check, dark_ball: Ridge, view: str) -> None:
-    """Mean transmittance and its derivative, against marches along each ray; `prbvolpath` starts outside of
-    media."""
+    """Mean transmittance and its derivative, against marches; `prbvolpath` starts outside of media."""
     camera = camera_of(dark_ball, view)
     scene = scene_of(dark_ball, {"type": "prbvolpath"}, camera)
     weights = attached_weights(scene)

@@ -1,5 +1,4 @@
-"""The projection onto the posed mesh: around its surface, edges and corners; meshes thin, folded, tiny, huge
-or far away."""
+"""The projection: around surface, edges and corners; onto meshes thin, folded, tiny, huge or far away."""
 
 from __future__ import annotations
 
@@ -120,8 +119,7 @@ def test_medial_axis(check: Check, off: float) -> None:
     "off the middle by 0 and ±1e-7 to ±1e-2 m", relative_to=LENGTHS)
 @pytest.mark.parametrize("off", [0.0, *decades(-7, -2, 1, (1, -1))], ids="{:g} m".format)
 def test_between_limbs(check: Check, off: float) -> None:
-    """Two boxes 10 cm apart, and points in the plane between them and beside it: the closer box is found, or
-    either."""
+    """Two boxes 10 cm apart, and points in and near the plane between them, where either may be found."""
     shape = joined(box((0.1, 0.8, 0.1), (-0.1, 0, 0)), box((0.1, 0.8, 0.1), (0.1, 0, 0)))
     rng = np.random.default_rng(3)
     plane = np.concatenate(
@@ -203,8 +201,8 @@ def test_texels_outside(check: Check, scale: float) -> None:
     ids="{:g} m".format,
 )
 def test_sizes_and_places(check: Check, size: float, place: float) -> None:
-    """The mesh and the points are rounded to float32 first: what is left of a body far away, down to a single
-    point, is the truth. Meshes below a millimetre stand for the small triangles of larger bodies."""
+    """The mesh and the points are rounded to float32 first: whatever remains of a body far away is the truth.
+    Meshes below a millimetre stand for the small triangles of larger bodies."""
     ball = turned_ball()
     moved = ball.vertices.astype(np.float64) / 0.6 * size + place * np.array([0.6, -0.8, 0.0])
     shape = Shape(moved.astype(np.float32), ball.faces)

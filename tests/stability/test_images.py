@@ -31,8 +31,7 @@ def psnr_error(found: float, difference: float) -> float:
 @pytest.mark.parametrize("difference", [0.0, *decades(-8, 0)], ids="{:g} apart".format)
 @pytest.mark.parametrize("first", [0.0, 0.5, 1.0], ids="{:g}".format)
 def test_metrics_of_plain_images(check: Check, first: float, difference: float) -> None:
-    """Closed forms, and bounds for FLIP, which has none: 0 for equal images, up to 1, and equal everywhere in
-    plain ones."""
+    """Closed forms; for FLIP, which has none, bounds, and that it is the same everywhere in plain images."""
     one, other = np.float32(first), np.float32(first - difference if first == 1 else first + difference)
     a, b = float(one), float(other)
     errors = [psnr_error(metrics.psnr(plain(one), plain(other)), abs(a - b))]

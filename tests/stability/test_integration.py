@@ -23,8 +23,8 @@ DECADES = range(-38, 39)
 
 def errors_of(
     sigma: np.ndarray, colour: np.ndarray | None = None, length: float = 1.0) -> list[tuple[float, float]]:
-    """Errors of the colour, opacity and depth of each ray through a slab, (N, S), and of the derivatives of
-    colour + opacity."""
+    """Errors of colour, opacity and depth, and of derivatives of colour + opacity, of each ray through a
+    slab."""
     slab = Slab(sigma, colour, length)
     dr.enable_grad(slab.sigma, slab.colour)
     seen = quadrature(slab, slab.rays(), sigma.shape[1])
@@ -118,8 +118,7 @@ def test_density_zero(check: Check, density: float) -> None:
 
 @pytest.fixture(scope="module")
 def overlap_errors() -> list[tuple[float, float]]:
-    """For each decade, errors of colour and transmittance of two slabs in one place, and of the derivatives
-    of their difference.
+    """Errors of colour and transmittance of two slabs, and of derivatives of their difference, by decade.
 
     Segments of the first have that optical depth or none; those of the second have the same, its inverse, 0
     or 1.

@@ -1,5 +1,4 @@
-"""Training: losses of black, white and bright images, learning rates of any size, pixels that are not
-numbers."""
+"""Training: losses of black and bright images, learning rates of any size, pixels that are not numbers."""
 
 from __future__ import annotations
 
@@ -38,8 +37,7 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 
 @contextmanager
 def training(options: TrainingOptions, image: float = 0.5, lone: bool = False) -> Iterator[Trainer]:
-    """A training on a capture of a plain ball, seen by two cameras of 12 × 12 pixels; if `lone`, its mask is
-    one pixel."""
+    """A training on two views of a ball, 12 × 12 pixels; if `lone`, the mask is one pixel."""
     vertices, faces = icosphere(1)
     zeros = np.zeros((1, 3), np.float32)
     body = Body(faces, *charts(len(faces)), template=vertices)
@@ -164,8 +162,7 @@ def test_learning_rates(check: Check, decade: int) -> None:
 
 
 def one_step(part: str, value: float) -> tuple[Trainer, np.ndarray, np.ndarray]:
-    """A training after a step in whose batch one ray has `value` in a part; the weights before and after
-    it."""
+    """A training after one step with `value` in a part of one ray; the weights before and after it."""
     with training(OPTIONS) as trainer:
         draw = trainer.batches
 
@@ -199,8 +196,7 @@ def test_a_nan_in_a_batch(check: Check, part: str) -> None:
 @NAN
 @pytest.mark.parametrize("part", ["origin", "direction"])
 def test_a_nan_in_a_ray(check: Check, part: str) -> None:
-    """A ray that is not a number sees nothing, as one that misses, and is trained towards what it should have
-    seen."""
+    """A ray that is not a number sees nothing, and is trained towards what it should have seen."""
     (missing, _, _), (trainer, _, after) = one_step("origin", 1e6), one_step(part, np.nan)
     assert (
         not missing.progress.steps_refused and not trainer.progress.steps_refused and np.isfinite(after).all()

@@ -31,8 +31,7 @@ def dense_ball() -> Iterator[Ridge]:
 @pytest.mark.parametrize("limit", [1e-2, 1.0, 1e3, 1e5], ids="{:g}".format)
 def test_majorants(
     check: Check, dense_ball: Ridge, monkeypatch: pytest.MonkeyPatch, limit: float, peak: float) -> None:
-    """At random points of the band, the density's formula in float64 against the majorant of the layer that
-    they are in."""
+    """The density's formula at random points of the band against the majorant of their layer."""
     model = dense_ball.run.model
     monkeypatch.setattr(
         model.field, "preset",
@@ -81,8 +80,7 @@ def cube() -> tuple[mi.Medium, Replay]:
     relative_to="the standard error of the mean of 16 × 4096 paths")
 @pytest.mark.parametrize("tau", [1e-3, 1e-2, 0.1, 1.0, 3.0, 8.0], ids="{:g}".format)
 def test_majorant_equals_density(check: Check, cube: tuple[mi.Medium, Replay], tau: float) -> None:
-    """Free flights need a majorant strictly above the density, or gradients are wrong: it is 1.05 times the
-    densest node."""
+    """Gradients need a majorant strictly above the density: it is 1.05 times the densest node."""
     medium, replay = cube
     paths = 4096
     ray = mi.Ray3f(

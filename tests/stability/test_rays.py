@@ -26,8 +26,7 @@ def bundle(origin: np.ndarray, direction: np.ndarray) -> mi.Ray3f:
 
 
 def see(ball: Ridge, ray: mi.Ray3f, samples: int, geometry: bool = False) -> tuple[Radiance, np.ndarray]:
-    """What rays see of the ball, and the derivatives of the sum of colour, opacity and, with `geometry`,
-    depth in the weights."""
+    """What rays see, and the derivatives of colour + opacity, with `geometry` + depth, in the weights."""
     weights = mi.Float(dr.detach(ball.run.parameters.weights))
     dr.enable_grad(weights)
     ball.run.parameters = ball.run.parameters.replace(weights=weights)
@@ -83,8 +82,7 @@ def test_all_rays_missing(
 
 @dataclass
 class Window:
-    """A camera at a place, looking along z times `facing` through a window half a metre wide at a distance of
-    one metre."""
+    """A camera that looks along z times `facing` through a window half a metre wide, one metre away."""
 
     w: int
     h: int
@@ -146,8 +144,7 @@ def test_bodies_far_away(check: Check, size: float, away: float) -> None:
 
 
 def errors_around(size: float, away: float, scale: float) -> tuple[float, float]:
-    """Errors of opacity and colour, and of the gradient, of rays from all around a ball, relative to `scale`
-    of white."""
+    """Errors of colour and opacity, and of the gradient, of rays from all around, relative to `scale`."""
     rng = np.random.default_rng(12)
     way = rng.normal(size=(60, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
@@ -196,8 +193,7 @@ def test_a_nan_in_one_lane(check: Check, ball: Ridge, value: float, part: str) -
     relative_to="the box's size and the ray's distance from it")
 @pytest.mark.parametrize("off", [0.0, *decades(0, -30, -3)], ids="{:g}".format)
 def test_along_the_box(check: Check, off: float) -> None:
-    """Where the interval in the box begins and ends. A ray exactly on a face may count as inside or
-    outside."""
+    """Where the interval begins and ends. A ray exactly on a face may count as inside or outside."""
     low, high = np.array([-0.5, -0.25, 1.0]), np.array([0.5, 0.75, 1.5])
     box = mi.BoundingBox3f(mi.Point3f(low.tolist()), mi.Point3f(high.tolist()))
     starts = [
