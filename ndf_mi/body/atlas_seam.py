@@ -157,7 +157,7 @@ class _Seam:
         across = self._opposite[self._h]
         crossed = np.nonzero(~tree & (across >= 0) & ~self.cut[self._h])[0]
         loop = far[self._u] + self._cost + far[self._v]
-        # Kruskal's algorithm by rank, longest loops first: ranks differ, so that the tree is one and its
+        # Kruskal's algorithm by rank, longest loops first: ranks differ, so that the tree is unique and its
         # edges are known.
         crossed = crossed[np.argsort(-loop[crossed], kind="stable")]
         one, other = self._h[crossed] // 3, across[crossed] // 3

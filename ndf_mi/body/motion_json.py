@@ -4,8 +4,8 @@
 
     {"fps": 30,
      "frames": [{"time": 0, "joints": {"left_elbow": [0, 0, 0]}},
-                {"time": 1, "joints": {"left_elbow": [0, -90, 0]}, "root": [0, 45, 0], "translation": [0, 0,
-                0.5]}]}
+                {"time": 1, "joints": {"left_elbow": [0, -90, 0]}, "root": [0, 45, 0],
+                 "translation": [0, 0, 0.5]}]}
 
 Rotations are axis-angle in degrees relative to the parent, about the world's axes for the body at rest: x to
 its left, y up, z ahead. ``root`` turns the whole body about its root joint, and ``translation``, metres,

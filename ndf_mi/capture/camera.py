@@ -10,8 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-#: OpenGL's camera axes (x right, y up, looking along -z) seen from Mitsuba's (x left, y up, looking along
-#: +z).
+#: From OpenGL's camera axes (x right, y up, along -z) to Mitsuba's (x left, y up, along +z), and back.
 _GL_FROM_MITSUBA = np.diag([-1.0, 1.0, -1.0, 1.0])
 
 #: Largest relative difference of fl_x and fl_y for square pixels: below 1e-3 pixels in 1000.

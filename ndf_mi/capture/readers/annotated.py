@@ -2,8 +2,8 @@
 
 ::
 
-    DIR/annots.npy                      a pickled dict: cams (lists K, D, R, T), ims (a list of {"ims":
-    [paths]}) DIR/Camera_B1/00000.jpg …           as in ims
+    DIR/annots.npy                      a pickled dict: cams (lists K, D, R, T), ims ([{"ims": [paths]}, …])
+    DIR/Camera_B1/00000.jpg …           as in ims
     DIR/mask_cihp/Camera_B1/00000.png   the same paths in mask_cihp or mask
     DIR/params/I.npy, vertices/I.npy    fitted without pose blend shapes: a pickled dict; vertices
     DIR/new_params/, new_vertices/      the same, with pose blend shapes

@@ -7,8 +7,7 @@ any other as::
     DIR/cameras.calibration                           or the only *.calibration: see `skeletool`
     DIR/images/C/image_c_C_f_F.jpg                    or .png; C: camera, F: frame
     DIR/foregroundSegmentation/C/image_c_C_f_F.png    or .jpg; above 127: performer
-    DIR/params/F.npy, vertices/F.npy                  fitted SMPL, as in ZJU-MoCap's layout; or new_params,
-    new_vertices
+    DIR/params/F.npy, vertices/F.npy                  SMPL as in ZJU-MoCap's layout; or new_params, …
 """
 
 from __future__ import annotations

@@ -27,8 +27,7 @@ from ndf_mi.errors import InputError
 
 BACKGROUND = (0.0, 0.0, 0.0)
 
-#: Largest mean distance in metres between the vertices of a fit's file and those of the model in the same
-#: pose.
+#: Largest mean distance in metres between a fit's vertices and the model's in the same pose.
 _SAME_BODY = 0.02
 
 

@@ -9,8 +9,7 @@ from ndf_mi.capture.synthesise import paint
 from ndf_mi.capture.synthesise.layers import Layer, Sheet, rise, waves
 
 _AROUND, _OVER, _DOWN = 144, 36, 22
-#: Heights above the eyes, metres: of the lowest part of the head that the hair follows, of the fringe's end,
-#: of the other tips.
+#: Heights above the eyes in metres: where hair leaves the head, the end of the fringe, the other tips.
 _SCALP, _FRINGE, _TIPS = -0.02, 0.034, -0.095
 
 

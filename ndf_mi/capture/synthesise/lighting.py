@@ -57,8 +57,7 @@ _STUDIO = Light(
     ),
 )  # fmt: skip
 
-#: By name. In `evening` the key light is orange, low and on the other side, and the sky has a quarter of the
-#: brightness.
+#: By name. In `evening` the key light is orange, low and on the other side, under a dim sky.
 LIGHTS = {
     DEFAULT: _STUDIO,
     "carried": replace(_STUDIO, carried=True),
@@ -125,8 +124,7 @@ def _glossy(roughness: float, specular: float, twosided: bool) -> dict[str, Any]
     return {"type": "twosided", "bsdf": bsdf} if twosided else bsdf
 
 
-#: BSDFs by material, coloured by the mesh attribute ``vertex_color``. Open surfaces are visible from inside
-#: too.
+#: BSDFs by material, coloured by the mesh attribute ``vertex_color``. Open surfaces have two sides.
 MATERIALS: dict[str, dict[str, Any]] = {
     "cloth": {
         "type": "twosided",
