@@ -1,11 +1,12 @@
-"""Closest points on a mesh beside Open3D (Embree) and libigl, in one process, repeats interleaved.
+"""Closest points on a mesh, compared with Open3D (Embree) and libigl in one process, repeats interleaved.
 
     python benchmarks/closest_point.py --mesh body --repeats 7
 
-Two sets of queries around each mesh, all within the band: points uniform in the band in random order, and samples of camera
-rays in the rays' order. `closest` finds the triangle; `project` adds texel, signed distance, normal and closest point.
-Times are wall-clock medians; a ratio is the median of the ratios within each repeat. Needs `pip install ndf-mi[bench]`;
-Open3D's wheel also needs the system's libusb-1.0, libGL, libX11 and libgomp.
+Two sets of queries around each mesh, all within the band: points uniform in the band in random order, and
+samples of camera rays in the rays' order. `closest` finds the triangle; `project` adds texture coordinates,
+signed distance, normal and closest point. Times are wall-clock medians; a ratio is the median of the ratios
+within each repeat. Needs `pip install ndf-mi[bench]`; Open3D's wheel also needs the system's libusb-1.0,
+libGL, libX11 and libgomp.
 """
 
 from __future__ import annotations
@@ -79,7 +80,8 @@ def band_points(scene: o3d.t.geometry.RaycastingScene, box: np.ndarray, options:
 
 
 def ray_points(scene: o3d.t.geometry.RaycastingScene, box: np.ndarray, options: Options) -> np.ndarray:
-    """(count, 3) float32: samples 5 mm apart along rays of cameras in a ring, ray after ray, those in the band."""
+    """(count, 3) float32: samples 5 mm apart along rays of cameras in a ring, ray after ray, those in the
+    band."""
     rng = np.random.default_rng(options.seed)
     centre, reach = box.mean(0), float(np.linalg.norm(box[1] - box[0]))
     along = np.arange(0.6 * reach, 2.4 * reach, 0.005)
@@ -117,14 +119,7 @@ def main(options: Options) -> None:
     console.print(machine())
     table = Table(title=f"Million queries a second within {options.band} m; ratio to Open3D in brackets")
     for column in (
-        "mesh",
-        "triangles",
-        "queries",
-        "closest",
-        "project",
-        "Open3D",
-        "libigl",
-        "largest difference",
+        "mesh", "triangles", "queries", "closest", "project", "Open3D", "libigl", "largest difference",
         "pose",
     ):
         table.add_column(column, justify="left" if column in ("mesh", "queries") else "right")
@@ -140,7 +135,9 @@ def main(options: Options) -> None:
         box = np.stack([vertices.min(0), vertices.max(0)])
         for kind, make in (("band", band_points), ("rays", ray_points)):
             x = make(scene, box, options)
-            query, tensor, few = mi.Point3f(np.ascontiguousarray(x.T)), o3d.core.Tensor(x), x[: options.igl_count]
+            query, tensor, few = (
+                mi.Point3f(np.ascontiguousarray(x.T)), o3d.core.Tensor(x), x[: options.igl_count]
+            )
             few64 = few.astype(np.float64)
             dr.eval(query)
             works: dict[str, Callable[[], object]] = {
@@ -148,7 +145,9 @@ def main(options: Options) -> None:
                 "project": lambda posed=posed, query=query: (dr.eval(posed.project(query)), dr.sync_thread()),
                 "Open3D": lambda scene=scene, tensor=tensor: scene.compute_closest_points(tensor),
                 "libigl": lambda tree=tree, v=vertices, f=faces, p=few64: tree.squared_distance(v, f, p),
-                "pose": lambda surface=surface, flat=flat: (PosedSurface(surface, flat, options.band), dr.sync_thread()),
+                "pose": lambda surface=surface, flat=flat: (
+                    PosedSurface(surface, flat, options.band), dr.sync_thread()
+                ),
             }
             times: dict[str, list[float]] = {key: [] for key in works}
             for _ in range(options.repeats + 1):
@@ -160,7 +159,9 @@ def main(options: Options) -> None:
 
             def speed(key: str, spent: dict[str, np.ndarray] = spent, count: int = len(x)) -> str:
                 ratio = np.median(spent["Open3D"] / spent[key])
-                return f"{count / 1e6 / np.median(spent[key]):.2f}" + (f" ({ratio:.1f})" if key != "Open3D" else "")
+                return f"{count / 1e6 / np.median(spent[key]):.2f}" + (
+                    f" ({ratio:.1f})" if key != "Open3D" else ""
+                )
 
             rates = [speed(key) for key in ("closest", "project", "Open3D", "libigl")]
             pose = f"{1000 * np.median(spent['pose']):.0f} ms"

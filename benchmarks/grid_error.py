@@ -1,11 +1,12 @@
-"""How far a field on a sparse grid, and one baked into Mitsuba's grid medium, are from the field itself, without noise.
+"""How far a field on a sparse grid, and one baked into Mitsuba's grid medium, are from the field itself,
+without noise.
 
     python benchmarks/grid_error.py RUN --size 96
 
-Renders a close view of the head by quadrature, `--samples` a ray, from the field, from sparse grids (the medium's
-`grid_spacing`) and from dense grids over the band's box as `volpath_cost.py` bakes them. Prints root mean square differences of
-opacity and of premultiplied linear colour over the pixels where the field's opacity is above a hundredth, and the number of
-cells.
+Renders a close view of the head by quadrature, `--samples` a ray, from the field, from sparse grids (the
+medium's `grid_spacing`) and from dense grids over the band's box as `volpath_cost.py` bakes them. Prints root
+mean square differences of opacity and of premultiplied linear colour over the pixels where the field's
+opacity is above a hundredth, and the number of cells.
 """
 
 from __future__ import annotations
@@ -73,8 +74,10 @@ class Grid:
         """The volumes at points."""
         it = dr.zeros(mi.Interaction3f, dr.width(x))
         it.p = x
-        return FieldSample(self._sigma.eval_1(it, active), mi.Color3f(self._albedo.eval(it, active)), dr.zeros(mi.Point3f),
-                           dr.zeros(mi.Normal3f))
+        return FieldSample(
+            self._sigma.eval_1(it, active), mi.Color3f(self._albedo.eval(it, active)), dr.zeros(mi.Point3f),
+            dr.zeros(mi.Normal3f),
+        )
 
 
 def main(options: Options) -> None:
@@ -87,9 +90,13 @@ def main(options: Options) -> None:
     sensor = mi.load_dict(view)
     width, height = view["film"]["width"], view["film"]["height"]
     y, x = (v.ravel() + 0.5 for v in np.mgrid[:height, :width])
-    ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(mi.Float(x / width), mi.Float(y / height)), mi.Point2f(0.5))
+    ray, _ = sensor.sample_ray(
+        0.0, 0.5, mi.Point2f(mi.Float(x / width), mi.Float(y / height)), mi.Point2f(0.5)
+    )
     rays = mi.Ray3f(ray.o + dr.zeros(mi.Point3f, width * height), ray.d)
-    print(f"{mi.variant()}, {run.path.name} frame {frame}, preset {preset.name}, {width} x {height} pixels, {options.samples} samples\n")
+    print(
+        f"{mi.variant()}, {run.path.name} frame {frame}, preset {preset.name}, {width} x {height} pixels, {options.samples} samples\n"
+    )
     low, high = volpath_cost.corners(run, frame)
     for n in options.grids:
         print(f"cells of grid {n}: " + " x ".join(f"{1e3 * side:.1f}" for side in (high - low) / n) + " mm")
@@ -100,7 +107,10 @@ def main(options: Options) -> None:
         held = SparseGrid(posed, run.model.surface, vertices, max(preset.band, preset.band_inside), size)
         row(f"sparse grid of {1e3 * size:g} mm", seen(held, rays, options), truth, where)
     for n in options.grids:
-        row(f"grid {n}", seen(Grid(volpath_cost.baked(run, frame, n), posed.bbox), rays, options), truth, where)
+        row(
+            f"grid {n}", seen(Grid(volpath_cost.baked(run, frame, n), posed.bbox), rays, options), truth,
+            where,
+        )
 
 
 def seen(volume: VolumeField, rays: mi.Ray3f, options: Options) -> np.ndarray:

@@ -1,9 +1,11 @@
-"""What an image costs: rays whole or front to back in rounds, networks as matrix products or as cooperative vectors.
+"""Cost of an image: whole rays or front to back in rounds, networks as matrix products or as cooperative
+vectors.
 
     python benchmarks/image.py RUN --capture CAPTURE --images 8 --repeats 3
 
-Renders novel views of the capture in every way, one after another, so that what else the machine does hits all alike. Prints the
-median of seconds an image, and the root mean square and the 99.9th percentile of the difference to the first way in linear colour.
+Renders novel views of the capture in every way, interleaved, so that other load on the machine affects all
+alike. Prints the median seconds an image, and the root mean square and the 99.9th percentile of the
+difference from the first way in linear colour.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ class Options:
     """Images."""
 
     repeats: int = 3
-    """Times that every image is rendered in every way; the first, which compiles, is left out."""
+    """How often every image is rendered in every way, after a first time, which compiles and is not timed."""
 
     samples: int = 128
     """Candidate samples a ray."""
@@ -53,7 +55,9 @@ class Options:
 def main(options: Options) -> None:
     """Measures and prints."""
     run, capture = Run.load(options.run), Capture.read(options.capture)
-    views = list(capture.splits["novel_view"])[:: max(len(capture.splits["novel_view"]) // options.images, 1)][: options.images]
+    views = list(capture.splits["novel_view"])[
+        :: max(len(capture.splits["novel_view"]) // options.images, 1)
+    ][: options.images]
     width = variants.fused_width()
     ways = {
         "whole rays, matrix products": (ImageRenderer(options.samples, rounds=1, cutoff=0.0), 0),
@@ -76,12 +80,15 @@ def main(options: Options) -> None:
                     seconds[name].append(taken)
                 else:
                     differences[name].append(np.abs(image - first).max(-1).ravel())
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, {len(views)} images of "
-          f"{capture.cameras[views[0][0]].w} x {capture.cameras[views[0][0]].h}, {options.samples} samples a ray\n")
+    print(
+        f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, {len(views)} images of "
+        f"{capture.cameras[views[0][0]].w} x {capture.cameras[views[0][0]].h}, {options.samples} samples a ray\n"
+    )
     print("| | seconds an image | rms difference | 99.9 % below |\n| --- | --- | --- | --- |")
     for name in ways:
         d = np.concatenate(differences[name])
-        print(f"| {name} | {np.median(seconds[name]):.2f} | {np.sqrt(np.mean(d**2)):.1e} | {np.percentile(d, 99.9):.1e} |")
+        print(f"| {name} | {np.median(seconds[name]):.2f} | {np.sqrt(np.mean(d**2)):.1e} | "
+              f"{np.percentile(d, 99.9):.1e} |")
 
 
 if __name__ == "__main__":

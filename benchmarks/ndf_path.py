@@ -1,11 +1,12 @@
-"""How long the scenes around a performer take under `ndf_path`, and how noisy they are.
+"""Time and noise of the scenes around a performer under `ndf_path`.
 
     python benchmarks/ndf_path.py RUN --size 256 --spp 16 --repeats 3
 
-For each scene: seconds of a rendering once warm (median), of the first one (which compiles), and of the same scene with the performer's
-shapes taken out, by Mitsuba's `path`; how many samples reached the networks and how many kernels were compiled while timing; and the
-noise, as the root of the mean square of a picture's error relative to the picture's mean, estimated from the differences of
-independent pictures. Noise falls with the root of the samples a pixel.
+Prints for each scene the median seconds of a warm rendering, the seconds of the first one (which compiles),
+and those of the same scene without the performer's shapes under Mitsuba's `path`; the samples that reached
+the networks and the kernels compiled while timing; and the
+noise: the root mean square error of an image relative to its mean, estimated from the differences of
+independent images. Noise falls with the square root of the samples a pixel.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ class Options:
     """A run's folder."""
 
     scenes: tuple[str, ...] = ("performer", "turntable", "studio", "two", "environment")
-    """Names of scenes; `performer` is a performer alone, to compare with `ndf_quadrature`, which is measured too."""
+    """Names of scenes. `performer` is a performer alone, for comparison with `ndf_quadrature`, which is
+    measured, too."""
 
     size: int = 256
     """Pixels on a side."""
@@ -48,13 +50,13 @@ class Options:
     """Samples a pixel."""
 
     repeats: int = 3
-    """Pictures timed, at least 2."""
+    """Images timed, at least 2."""
 
 
 def main(options: Options) -> None:
     """Measures and prints."""
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, run {options.run}, "
-          f"{options.size} × {options.size} pixels, {options.spp} samples a pixel")
+    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, run "
+          f"{options.run}, {options.size} × {options.size} pixels, {options.spp} samples a pixel")
     print(f"{'scene':<28}{'seconds':>9}{'first':>9}{'samples':>13}{'compiled':>10}{'noise':>9}")
     for name in options.scenes:
         parameters = {"width": options.size, "height": options.size, "spp": options.spp}
@@ -63,12 +65,16 @@ def main(options: Options) -> None:
         if name == "performer":
             scene = mi.load_file(path, integrator="ndf_quadrature", run=str(options.run), **parameters)
             measure(f"{name}, ndf_quadrature", scene, options)
-        measure(f"{name} without, path", mi.load_string(empty(path), integrator="path", **parameters), options)
+        measure(
+            f"{name} without, path", mi.load_string(empty(path), integrator="path", **parameters), options
+        )
 
 
 def empty(path: str) -> str:
     """A scene's XML without its performers."""
-    return re.sub(r'<shape type="ndf_shell".*?</shape>', "", Path(path).read_text(encoding="utf-8"), flags=re.DOTALL)
+    return re.sub(
+        r'<shape type="ndf_shell".*?</shape>', "", Path(path).read_text(encoding="utf-8"), flags=re.DOTALL
+    )
 
 
 def measure(name: str, scene: mi.Scene, options: Options) -> None:
@@ -92,7 +98,9 @@ def measure(name: str, scene: mi.Scene, options: Options) -> None:
             evaluated = transport.evaluated - before if transport else 0
     stack = np.stack(pictures)
     noise = np.sqrt(stack.var(axis=0, ddof=1).mean()) / stack.mean()
-    print(f"{name:<28}{np.median(seconds[1:]):>9.2f}{seconds[0]:>9.2f}{evaluated:>13,}{compiled:>10}{noise:>9.4f}")
+    print(
+        f"{name:<28}{np.median(seconds[1:]):>9.2f}{seconds[0]:>9.2f}{evaluated:>13,}{compiled:>10}{noise:>9.4f}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
-"""How long a training step takes once warm, and whether it compiles anything.
+"""Time of a warm training step, and whether it compiles anything.
 
     python benchmarks/training_step.py [CAPTURE] --warm 1100 --steps 200
 
-Trains a fresh field in a temporary folder, at the steps' default size (1,024 rays of 64 candidate samples; projection, networks,
-gradients and Adam's update included), and prints the median, the quartiles and the number of kernels compiled while timing.
+Trains a new field in a temporary folder with steps of the default size (1,024 rays of 64 candidate samples;
+projection, networks, gradients and Adam's update included). Prints the median, the quartiles and the number
+of kernels compiled while timing.
 """
 
 from __future__ import annotations
@@ -40,19 +41,19 @@ class Options:
     """What is measured."""
 
     capture: Annotated[Path | None, tyro.conf.Positional] = None
-    """A capture's folder; without one, the demo's small capture is made in a temporary folder."""
+    """A capture's folder; by default the demo's small capture is made in a temporary folder."""
 
     preset: str = "fast"
     """Architecture."""
 
     warm: int = 1100
-    """Steps before the first that is timed."""
+    """Steps before timing begins."""
 
     steps: int = 200
     """Steps timed."""
 
     report: int = 0
-    """Also time this many of the first steps after step 20, before training has emptied any of the band."""
+    """Also time this many steps after step 20, while all of the band is still occupied."""
 
 
 def main(options: Options) -> None:
@@ -60,9 +61,13 @@ def main(options: Options) -> None:
     with tempfile.TemporaryDirectory() as folder:
         source = options.capture or synthesise(Path(folder) / "capture", SIZES["quick"])
         capture = Capture.read(source)
-        trainer = start(Path(folder) / "run", capture, preset(options.preset), TrainingOptions(steps=options.warm + options.steps))
-        print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, capture {capture.name}, "
-              f"preset {options.preset}: {trainer.options.rays} rays of {trainer.options.samples} candidates")
+        trainer = start(
+            Path(folder) / "run", capture, preset(options.preset),
+            TrainingOptions(steps=options.warm + options.steps),
+        )
+        print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, "
+              f"capture {capture.name}, preset {options.preset}: {trainer.options.rays} rays of "
+              f"{trainer.options.samples} candidates")
         for _ in range(20):
             trainer.step()
         if options.report:
@@ -73,7 +78,7 @@ def main(options: Options) -> None:
 
 
 def measure(trainer: Trainer, steps: int) -> None:
-    """Times so many steps and prints what they took."""
+    """Times `steps` steps and prints the result."""
     first = trainer.progress.step
     seconds, evaluated, compiled = [], [], 0
     dr.sync_thread()

@@ -1,8 +1,9 @@
-"""What a picture by Mitsuba's `volpath` costs with the same field held in different ways, at equal noise.
+"""Cost of an image by Mitsuba's `volpath` for different representations of a field, at equal noise.
 
     python benchmarks/volpath_cost.py RUN --size 96 --spp 16 --repeats 6
 
-One process, repeats interleaved: every way renders once, then every way again with other random numbers. The ways:
+One process, repeats interleaved: every representation renders once, then every one again with other random
+    numbers. They are
 
     box       the `ndf` medium in its bounding box
     shell     the same in an `ndf_shell`
@@ -10,16 +11,18 @@ One process, repeats interleaved: every way renders once, then every way again w
     L mm      the same in nested shells, the field sampled on a grid of that spacing (the medium's `grid_spacing`)
     grid N    Mitsuba's `heterogeneous` medium in the bounding box, baked from the field into N³ cells
 
-Seconds are the median over the repeats, for a picture at `--spp`. Noise is the standard deviation that one sample a pixel has, from the
-variance between the repeats in each pixel, over the mean radiance. A way that is twice as noisy needs four times the samples, so that the
-last column, seconds for a standard deviation of `--noise` in a pixel, is what to compare. Loading and compiling are apart. Error is the
-root mean square difference of close pictures of the head, of `--reference` samples a pixel, from one of `box`, over the mean radiance, less
-what noise explains of it; `noise left` is how much that was: an error below a third of it is none that could be seen. They are drawn
-after all is timed, and the table, printed once before, is printed again with them. Evaluations are counted inside the media, null and real
-collisions and those of shadow rays, a camera ray; they depend on no machine. The performer stands before a constant environment.
+Seconds are the median over the repeats, for an image at `--spp`. Noise is the standard deviation of one
+sample a pixel, from the variance between the repeats in each pixel, relative to the mean radiance. Twice the
+noise takes four times the samples, so compare the last column: seconds for a standard deviation of `--noise`
+in a pixel. Loading and compiling are listed separately. Error is the root mean square difference of close
+images of the head, with `--reference` samples a pixel, from one of `box`, relative to the mean radiance and
+with the contribution of noise removed. `noise left` is that contribution: an error below a third of it cannot
+be detected. These images are rendered after all timing, and the table, printed once before, is printed again
+with them. Evaluations are counted inside the media, per camera ray: null and real collisions, those of shadow
+rays included. They do not depend on the machine. The performer stands in front of a constant environment.
 
-The grids hold the albedo as seen from the camera, as they know no directions. Memory is the most that Dr.Jit had allocated while a scene
-was loaded and first rendered, beyond what lay there before.
+The dense grids hold the albedo as seen from the camera, as they store no directions. Memory is the peak of
+Dr.Jit's allocations while a scene is loaded and first rendered, minus what was allocated before.
 """
 
 from __future__ import annotations
@@ -46,7 +49,7 @@ from ndf_mi.experiments.trade.memory import peak_memory  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
 CHUNK = 64
-"""Samples a pixel of one picture of those that errors are told from, at most."""
+"""Largest number of samples a pixel of one of the images that errors are computed from."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ class Options:
     """Frame; by default the run's first."""
 
     size: int = 96
-    """Height of the picture in pixels; it is two thirds as wide."""
+    """Height of the image in pixels; it is two thirds as wide."""
 
     spp: int = 16
     """Samples a pixel of a repeat."""
@@ -69,13 +72,13 @@ class Options:
     """Timed repeats, at least 3."""
 
     reference: int = 1024
-    """Samples a pixel of the pictures that errors are told from, at least 4; 0 leaves the errors out."""
+    """Samples a pixel of the images that errors are computed from, at least 4; 0 leaves out the errors."""
 
     noise: float = 0.01
-    """Standard deviation of a pixel, over the mean radiance, that times are scaled to."""
+    """Standard deviation of a pixel, relative to the mean radiance, that times are scaled to."""
 
     layers: int = 4
-    """Nested shells at most."""
+    """Largest number of nested shells."""
 
     cell: float = 0.0125
     """Spacing in metres of the grid that shells are cut from."""
@@ -95,7 +98,7 @@ class Options:
 
 @dataclass
 class Way:
-    """A way to hold the field, and what was measured of it."""
+    """A representation of the field, and its measurements."""
 
     name: str
     scene: mi.Scene
@@ -252,7 +255,8 @@ def counting(original: Callable[..., Any], counter: mi.UInt32) -> Callable[..., 
 
 
 def count_grid(shape: mi.Shape, scene: mi.Scene, options: Options) -> float:
-    """The same for a grid medium, whose methods can't be reached: a medium in Python with the same grids and majorant takes its place."""
+    """The same for a grid medium, whose methods can't be reached: a medium in Python with the same grids and
+    majorant takes its place."""
     params = mi.traverse(shape.interior_medium())
     low, high = shape.bbox().min, shape.bbox().max
     transform = mi.ScalarTransform4f().translate(low).scale(high - low)
@@ -288,13 +292,15 @@ def count_grid(shape: mi.Shape, scene: mi.Scene, options: Options) -> float:
 
 
 def sampled(scene: mi.Scene, spp: int, first: int, sensor: mi.Sensor) -> np.ndarray:
-    """Independent pictures, (n, h, w, 3), whose mean has so many samples a pixel; `first` is their first seed."""
+    """Independent pictures, (n, h, w, 3), whose mean has so many samples a pixel; `first` is their first
+    seed."""
     each = min(CHUNK, spp // 2)
     return np.stack([render(scene, each, first + i, sensor) for i in range(-(-spp // each))]).astype(np.float64)
 
 
 def errors(ways: list[Way], make: Callable[[], dict[str, Any]], run: Run, frame: int, options: Options) -> dict[str, tuple[float, float]]:
-    """Of each way but the box the error against the box, and how much noise is left in it, both over the mean radiance."""
+    """Of each way but the box the error against the box, and how much noise is left in it, both over the mean
+    radiance."""
     if not options.reference:
         return {}
     sensor = mi.load_dict(camera(run, frame, options, close=True))
