@@ -4,16 +4,16 @@ lane."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import drjit as dr
 import drjit.nn as nn
 import mitsuba as mi
 
-Tensors = Mapping[str, tuple[mi.TensorXf, mi.TensorXf]]
+Tensors: TypeAlias = "Mapping[str, tuple[mi.TensorXf, mi.TensorXf]]"
 """Matrix (outputs, inputs) and bias (outputs, 1) of each layer, by name."""
 
-Views = Mapping[str, tuple[Any, Any]]
+Views: TypeAlias = Mapping[str, tuple[Any, Any]]
 """The same as views of one packed array (:func:`pack`)."""
 
 

@@ -4,8 +4,9 @@ tests."""
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from ndf_mi.deprecated import PRESET_FIELDS, rename_entries
 from ndf_mi.errors import InputError
@@ -129,57 +130,43 @@ class Preset:
     starts."""
 
     def __post_init__(self) -> None:
-        def check(good: bool, key: str, expected: str) -> None:
+        for key, good, expected in self._requirements():
             if not good:
                 raise InputError(f"preset option {key}", repr(getattr(self, key)), expected)
 
+    def _requirements(self) -> Iterator[tuple[str, bool, str]]:
+        """Option, whether its value is good, and what is expected."""
+        hints = get_type_hints(type(self))
+        for key, value in vars(self).items():
+            if get_origin(hints[key]) is Literal:
+                yield key, value in get_args(hints[key]), " or ".join(get_args(hints[key]))
+            elif isinstance(value, float):
+                yield key, abs(value) < float("inf"), "a number"
+            elif isinstance(value, tuple):
+                yield key, all(type(width) is int and width > 0 for width in value), "a list of widths above 0"
         for key in ("band", "density_limit", "density_gain", "grid_l_scale"):
-            check(0 < getattr(self, key) < float("inf"), key, "a number above 0")
-        for key in ("density_bias", "deformation_scale"):
-            check(abs(getattr(self, key)) < float("inf"), key, "a number")
-        check(
-            0 < self.band_inside <= self.band, "band_inside",
-            f"a number above 0, at most the band's {self.band}",
-        )
-        check(0 <= self.band_fade < 1, "band_fade", "a fraction in [0, 1)")
-        for key in ("deformation_octaves", "octaves", "feature_width"):
-            check(0 <= getattr(self, key) <= 1024, key, "a whole number from 0 to 1024")
-        for key in ("pose_layers", "deformation_layers", "density_layers", "colour_layers", "colour_linear"):
-            widths = getattr(self, key)
-            needed = key == "density_layers"
-            check(
-                all(type(w) is int and w > 0 for w in widths) and bool(widths or not needed), key,
-                "a list of widths above 0",
-            )
-        check(self.coordinates in ("texel", "surface", "world"), "coordinates", "texel, surface or world")
-        check(self.distance in ("signed", "unsigned", "none"), "distance", "signed, unsigned or none")
-        check(self.sample_factor >= 1, "sample_factor", "a whole number above 0")
-        check(
-            len(self.colour_linear) != 1, "colour_linear",
-            "no layers, or at least two: the pose joins at the second",
-        )
-        for key in ("normal_octaves", "direction_octaves"):
-            check(-1 <= getattr(self, key) <= 1024, key, "-1, or a whole number up to 1024")
-        check(self.direction in ("view", "mirrored"), "direction", "view or mirrored")
-        check(
-            self.direction == "view" or self.direction_octaves >= 0, "direction",
-            "view, or direction_octaves from 0 on",
-        )
-        check(0 <= self.density_skip < len(self.density_layers), "density_skip",
-              f"0, or a number below the {len(self.density_layers)} density layers")
-        check(self.encoding in ("frequency", "grid"), "encoding", "frequency or grid")
-        check(self.density_activation in ("relu", "softplus"), "density_activation", "relu or softplus")
-        check(2 <= self.grid_levels <= 32, "grid_levels", "a whole number from 2 to 32")
-        check(self.grid_features in (2, 4, 8), "grid_features", "2, 4 or 8")
-        check(
-            self.grid_entries > 0 and self.grid_entries % self.grid_features == 0, "grid_entries",
-            "a multiple of grid_features",
-        )
-        check(self.grid_base >= 2, "grid_base", "a whole number above 1")
-        check(
-            self.grid_finest > self.grid_base, "grid_finest",
-            f"a whole number above grid_base, {self.grid_base}",
-        )
+            yield key, getattr(self, key) > 0, "a number above 0"
+        for key, least in (("deformation_octaves", 0), ("octaves", 0), ("feature_width", 0),
+                           ("normal_octaves", -1), ("direction_octaves", -1)):
+            yield key, least <= getattr(self, key) <= 1024, f"a whole number from {least} to 1024"
+        yield ("band_inside", 0 < self.band_inside <= self.band,
+               f"a number above 0, at most the band's {self.band}")
+        yield "band_fade", 0 <= self.band_fade < 1, "a fraction in [0, 1)"
+        yield "sample_factor", self.sample_factor >= 1, "a whole number above 0"
+        yield "density_layers", bool(self.density_layers), "at least one layer"
+        yield ("colour_linear", len(self.colour_linear) != 1,
+               "no layers, or at least two: the pose joins at the second")
+        yield ("direction", self.direction == "view" or self.direction_octaves >= 0,
+               "view, or direction_octaves of at least 0")
+        yield ("density_skip", 0 <= self.density_skip < len(self.density_layers),
+               f"0, or a number below the {len(self.density_layers)} density layers")
+        yield "grid_levels", 2 <= self.grid_levels <= 32, "a whole number from 2 to 32"
+        yield "grid_features", self.grid_features in (2, 4, 8), "2, 4 or 8"
+        yield ("grid_entries", self.grid_entries > 0 and self.grid_entries % self.grid_features == 0,
+               "a multiple of grid_features")
+        yield "grid_base", self.grid_base >= 2, "a whole number above 1"
+        yield ("grid_finest", self.grid_finest > self.grid_base,
+               f"a whole number above grid_base, {self.grid_base}")
 
     @property
     def dimension(self) -> int:
@@ -203,45 +190,17 @@ _LATER: dict[str, Any] = {"direction": "view", "pose_products": False}
 
 PRESETS: dict[str, Preset] = {
     "fast": Preset(
-        normal_octaves=1, direction_octaves=-1, pose_products=True, grid_features=4, grid_entries=2**18
-    ),
+        normal_octaves=1, direction_octaves=-1, pose_products=True, grid_features=4, grid_entries=2**18),
     "tiny": Preset(
-        name="tiny",
-        pose_layers=(8, 4),
-        pose_products=True,
-        deformation_layers=(8,),
-        deformation_octaves=2,
-        grid_levels=4,
-        grid_entries=2**10,
-        grid_base=8,
-        grid_finest=32,
-        density_layers=(16,),
-        feature_width=8,
-        colour_layers=(16,),
-        direction_octaves=1,
-        normal_octaves=0,
-    ),
+        name="tiny", pose_layers=(8, 4), pose_products=True, deformation_layers=(8,), deformation_octaves=2,
+        grid_levels=4, grid_entries=2**10, grid_base=8, grid_finest=32, density_layers=(16,), feature_width=8,
+        colour_layers=(16,), direction_octaves=1, normal_octaves=0),
     "paper": Preset(
-        name="paper",
-        pose_layers=(256, 128),
-        deformation_layers=(128,),
-        deformation_octaves=10,
-        deformation_scale=0.001,
-        encoding="frequency",
-        octaves=10,
-        density_layers=(256,) * 7,
-        density_skip=5,
-        feature_width=0,
-        colour_linear=(256, 256),
-        colour_layers=(128,),
-        direction_octaves=4,
-        density_activation="relu",
-        density_gain=1.0,
-        density_bias=0.0,
-        density_limit=10000.0,
-        band_inside=0.08,
-        band_fade=0.0,
-    ),
+        name="paper", pose_layers=(256, 128), deformation_layers=(128,), deformation_octaves=10,
+        deformation_scale=0.001, encoding="frequency", octaves=10, density_layers=(256,) * 7, density_skip=5,
+        feature_width=0, colour_linear=(256, 256), colour_layers=(128,), direction_octaves=4,
+        density_activation="relu", density_gain=1.0, density_bias=0.0, density_limit=10000.0, band_inside=0.08,
+        band_fade=0.0),
 }
 
 
