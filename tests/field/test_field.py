@@ -204,7 +204,7 @@ def test_wrong_options_are_named(change, word):
         preset("nerf")
 
 
-def test_the_normal_changes_colour_alone_and_only_where_the_preset_says_so():
+def test_the_normal_changes_colour_alone_and_only_where_the_preset_uses_it():
     u, d, pose = inputs()
     for name, expected in (("fast", True), ("paper", False)):
         field = Field(preset(name), JOINTS)
@@ -215,7 +215,7 @@ def test_the_normal_changes_colour_alone_and_only_where_the_preset_says_so():
         assert bool((colour.numpy() != other_colour.numpy()).any()) is expected
 
 
-def test_the_direction_changes_colour_alone_and_only_where_the_preset_says_so():
+def test_the_direction_changes_colour_alone_and_only_where_the_preset_uses_it():
     u, d, pose = inputs()
     for octaves in (-1, 0, 2):
         field = Field(dataclasses.replace(preset("tiny"), direction_octaves=octaves, normal_octaves=-1), JOINTS)

@@ -1,4 +1,4 @@
-"""The medium on a lattice against Mitsuba's grid medium; it moves without compiling anything."""
+"""The medium on a grid against Mitsuba's grid medium; it moves without compiling anything."""
 
 import gc
 

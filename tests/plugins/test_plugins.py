@@ -75,7 +75,7 @@ def test_quadrature_agrees_with_the_closed_form_of_emission(make_constant_run, s
     assert np.abs(image - expected).mean() < 1e-3
 
 
-def test_what_is_hidden_is_left_out_up_to_its_share_of_the_light(make_constant_run):
+def test_skipped_samples_change_no_more_than_their_transmittance(make_constant_run):
     scene = scene_of(make_constant_run(60.0), size=24, samples=200, background=0.25)
     cut = mi.load_dict({"type": "ndf_quadrature", "samples": 200, "min_transmittance": 0.02})
     whole, part = mi.render(scene, spp=4, seed=1).numpy(), mi.render(scene, integrator=cut, spp=4, seed=1).numpy()

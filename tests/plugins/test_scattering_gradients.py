@@ -79,8 +79,8 @@ class Direct:
         return {name: dr.grad(self.parameters[f"performer.interior_medium.{name}"]).numpy() for name in names}
 
 
-class OnLattice:
-    """The field on a lattice, as training has it."""
+class OnGrid:
+    """The field sampled on a grid, as in training."""
 
     def __init__(self, run):
         self.run = run
@@ -161,7 +161,7 @@ def check(place, values, change, paths, repeats, forward):
 
 
 def thin_mean(run, values):
-    """What `Measured.mean` is to first order in the depth, by quadrature along a lattice of rays."""
+    """What `Measured.mean` is to first order in the depth, by quadrature along a grid of rays."""
     parameters = FieldParameters(mi.Float(values["weights"]), mi.Float(values["grid"]))
     x, y = ((np.stack(np.meshgrid(*[np.arange(96)] * 2)).reshape(2, -1) + 0.5) / 96 - 0.5) * 0.7
     ray = mi.Ray3f(mi.Point3f(x.astype(np.float32), y.astype(np.float32), 2.0), mi.Vector3f(0.0, 0.0, -1.0))
@@ -175,7 +175,7 @@ def thin_mean(run, values):
 def test_gradients_in_a_thin_medium_are_those_of_single_scattering(make_constant_run):
     run = uneven(make_constant_run, THIN, grid_levels=2)
     values = run.field_tensors()
-    for name, direction, gradient, error in derivatives(Measured(OnLattice(run)), values, 1 << 17, repeats=6):
+    for name, direction, gradient, error in derivatives(Measured(OnGrid(run)), values, 1 << 17, repeats=6):
         value = values[name]
         sides = [thin_mean(run, {**values, name: (value + sign * 0.03 * direction).astype(np.float32)}) for sign in (1, -1)]
         difference = (sides[0] - sides[1]) / 0.06
@@ -187,11 +187,11 @@ def test_gradients_in_a_thin_medium_are_those_of_single_scattering(make_constant
 
 @pytest.mark.long
 @pytest.mark.parametrize(("depth", "change", "paths", "forward"), [(ORDINARY, 0.02, 1 << 14, 1 << 17), (THICK, 0.01, 1 << 13, 1 << 17)])
-def test_gradients_on_the_lattice_agree_with_differences(make_constant_run, depth, change, paths, forward):
+def test_gradients_on_the_grid_agree_with_differences(make_constant_run, depth, change, paths, forward):
     """A thick medium's mean hardly follows the table: a step of 0.02 of it is as large as the table's entries themselves, and differences
     come out a seventh too small."""
     run = uneven(make_constant_run, depth)
-    check(OnLattice(run), run.field_tensors(), change, paths, repeats=8, forward=forward)
+    check(OnGrid(run), run.field_tensors(), change, paths, repeats=8, forward=forward)
 
 
 @pytest.mark.long

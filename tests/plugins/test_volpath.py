@@ -165,7 +165,7 @@ MIRROR = {"type": "rectangle", "bsdf": {"type": "conductor"},
 
 
 def room():
-    """A floor under the ball, a mirror beside it, a lamp above and a dim sky; white paint, so that light goes from one to the other."""
+    """A floor under the ball, a mirror next to it, a lamp above and a dim sky; white, so that light bounces between them."""
     place = mi.ScalarTransform4f()
     return {
         "floor": {"type": "rectangle", "to_world": place.translate([0, -0.4, 0]).rotate([1, 0, 0], -90).scale(3),

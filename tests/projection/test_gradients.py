@@ -1,4 +1,4 @@
-"""First derivatives against central differences of a float64 reference that searches anew at every step."""
+"""First derivatives against central differences of a float64 reference that searches again at every step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same numbers in symbolic loops and inside a medium that `volpath` calls; no kernel compiled anew for a new pose."""
+"""The same numbers in symbolic loops and inside a medium that `volpath` calls; a new pose compiles no kernel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lights of a capture, and what is told of scenes that are none."""
+"""The lights of a capture, and the refusal of scenes without lights."""
 
 import mitsuba as mi
 import pytest
@@ -29,11 +29,11 @@ def test_emitters_and_shapes_of_a_scene_shine_in_another(tmp_path):
     ('<emitter type="moon"/>', "cannot be loaded"),
     ('<emitter type="envmap"><string name="filename" value="lost.exr"/></emitter>', "cannot be loaded"),
 ])
-def test_scenes_that_are_no_light_are_told(tmp_path, inside, words):
+def test_scenes_without_lights_are_refused(tmp_path, inside, words):
     with pytest.raises(InputError, match=words):
         lights(write(tmp_path / "light.xml", inside))
 
 
-def test_a_missing_scene_is_told(tmp_path):
+def test_a_missing_scene_is_refused(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         lights(tmp_path / "light.xml")

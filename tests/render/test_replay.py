@@ -12,7 +12,7 @@ COUNT = 1 << 16
 
 
 def slab_of(sigma, albedo, radiance):
-    """Replay in a slab of thickness 1 on a lattice, majorant above its density, under an even sky; its rays, and its nodes' values."""
+    """Replay in a slab of thickness 1 on a grid, with a majorant above its density, under an even sky; rays; the nodes' values."""
     medium = mi.load_dict({"type": "ndf_grid", "nx": 4, "ny": 4, "nz": 4, "cell": 1.0})
     nodes = np.zeros((64, 4), np.float32)
     nodes[:] = sigma * np.array([1, albedo, albedo, albedo])

@@ -172,7 +172,7 @@ def test_null_shapes_are_passed_through_without_moving_the_ray():
     assert occluded(world, ray, True).numpy().all()
 
 
-def test_rays_end_where_they_are_told():
+def test_rays_end_at_maxt():
     world = scene()
     for end, hit in ((6.9, False), (7.1, True), (3.5, False)):
         ray, *_ = rays(50, maxt=end)
@@ -187,7 +187,7 @@ def test_a_surface_close_behind_a_shell_is_not_jumped_over():
     assert (next_surface(world, ray, True).t.numpy() < 2.6).all()
 
 
-def test_shapes_that_emit_are_met_unless_told():
+def test_shapes_that_emit_are_met_unless_skipped():
     world = scene(light={"type": "rectangle", "bsdf": {"type": "null"}, "to_world": mi.ScalarTransform4f().translate([0, 0, -2]).scale(5),
                          "emitter": {"type": "area", "radiance": 1.0}})
     ray, *_ = rays(50)
