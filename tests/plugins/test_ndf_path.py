@@ -4,21 +4,26 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from path_scenes import (
+    BAND,
+    FINE,
+    FLOOR,
+    RADIUS,
+    SIGMA,
+    T,
+    assert_close,
+    chord,
+    diffuse,
+    fan,
+    glowing,
+    grey,
+    performer,
+    radiance,
+    scene_of,
+)
 from ridge_field import make_ridge
 
 from ndf_mi.colour import srgb_to_linear
-from ndf_mi.errors import InputError
-from ndf_mi.render.scene import render_scene
-
-BAND, RADIUS = 0.08, 0.3
-SIGMA = 6.0
-FINE = 500  # samples, where a closed form is met
-T = mi.ScalarTransform4f
-
-
-def performer(run, frame=0, scale=1.0, bsdf="null"):
-    return {"type": "ndf_shell", "run": str(run.path), "frame": frame, "bsdf": {"type": bsdf},
-            "interior": {"type": "ndf", "run": str(run.path), "frame": frame, "scale": scale}}
 
 
 @pytest.fixture
@@ -27,80 +32,6 @@ def constant(make_constant_run):
     # Densities have one limit, which is compiled into kernels.
     return lambda sigma=SIGMA, srgb=(0.5, 0.5, 0.5), name="run": make_constant_run(
         sigma, srgb, name=name, density_limit=max(16.0, 2 * sigma))
-
-
-def grey(value):
-    return {"type": "rgb", "value": value}
-
-
-def diffuse(reflectance, transform):
-    bsdf = {"type": "twosided", "b": {"type": "diffuse", "reflectance": grey(reflectance)}}
-    return {"type": "rectangle", "to_world": transform, "bsdf": bsdf}
-
-
-def glowing(radiance, transform):
-    return {"type": "rectangle", "to_world": transform, "bsdf": {"type": "diffuse", "reflectance": grey(0.0)},
-            "emitter": {"type": "area", "radiance": grey(radiance)}}
-
-
-def scene_of(integrator="ndf_path", size=24, origin=(0, 0, 2.0), shapes=None, background=None, sampler="independent", **options):
-    light = {} if background is None else {"light": {"type": "constant", "radiance": grey(background)}}
-    return mi.load_dict({
-        "type": "scene",
-        "integrator": {"type": integrator, **options},
-        "sensor": {
-            "type": "perspective", "fov": 28, "near_clip": 1e-3,
-            "to_world": T().look_at(list(origin), [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
-            "sampler": {"type": sampler},
-        },
-        **light, **(shapes or {}),
-    })
-
-
-def rays(origins, directions):
-    o, d = np.broadcast_arrays(np.asarray(origins, np.float32), np.asarray(directions, np.float32))
-    d = d / np.linalg.norm(d, axis=1, keepdims=True)
-    return mi.Ray3f(mi.Point3f(np.ascontiguousarray(o.T)), mi.Vector3f(np.ascontiguousarray(d.T, dtype=np.float32)))
-
-
-def radiance(scene, origins, directions, spp=1, seed=0):
-    """(N, 3) mean radiance along rays."""
-    ray = rays(np.repeat(origins, spp, 0), np.repeat(directions, spp, 0))
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed, dr.width(ray.d))
-    L = scene.integrator().sample(dr.ADMode.Primal, scene, sampler, ray)[0]
-    return np.moveaxis(mi.Color3f(L).numpy(), 0, -1).reshape(len(origins), spp, 3).mean(1)
-
-
-def chord(o, d, centre=(0, 0, 0), end=np.inf):
-    """Length of rays' way through the band of the ball, up to a distance; float64."""
-    o, d = np.asarray(o, np.float64) - centre, np.asarray(d, np.float64)
-    d = d / np.linalg.norm(d, axis=-1, keepdims=True)
-    middle = -(o * d).sum(-1)
-    apart2 = (o * o).sum(-1) - middle**2
-
-    def within(radius):
-        half = np.sqrt(np.maximum(radius**2 - apart2, 0))
-        return np.clip(middle + half, 0, end) - np.clip(middle - half, 0, end)
-
-    return within(RADIUS + BAND) - within(RADIUS - BAND)
-
-
-def fan(n=200, origin=(0, 0, 2.0), spread=0.25, seed=4):
-    """Rays from one point around the direction of the ball's centre."""
-    rng = np.random.default_rng(seed)
-    origins = np.repeat(np.asarray(origin, np.float64)[None], n, 0)
-    return origins, -origins / np.linalg.norm(origin) + rng.uniform(-spread, spread, (n, 3))
-
-
-def assert_close(seen, expected, mean=3e-3, most=0.02):
-    """But for rays that graze the band, whose way through the mesh's band is not that through a ball's."""
-    error = np.abs(seen - np.broadcast_to(expected, seen.shape))
-    assert error.mean() < mean and np.quantile(error, 0.98) < most, (error.mean(), np.quantile(error, 0.98))
-
-
-# Without performers, and with nothing else.
 
 
 @pytest.mark.parametrize(("depth", "hide"), [(1, False), (2, False), (7, False), (-1, False), (2, True), (7, True)])
@@ -237,7 +168,6 @@ def floor_points(n=150):
     return points, points + [0, 0.05, 0], np.repeat([[0.0, -1.0, 0.0]], n, 0)
 
 
-FLOOR = T().translate([0, -0.5, 0]).rotate([1, 0, 0], -90).scale(3)
 
 
 @pytest.mark.parametrize("light", ["directional", "point"])
@@ -370,94 +300,3 @@ def test_nothing_is_compiled_anew_and_what_misses_is_not_evaluated(constant):
 
 
 # Gradients.
-
-
-@pytest.mark.parametrize("key", ["weights", "pose"])
-def test_gradients_agree_with_finite_differences(make_run, key):
-    """Through the direct view, a mirror and shadows, along fixed paths."""
-    run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16)
-    run.parameters = run.parameters.replace(grid=run.parameters.grid * 5e3)
-    run.save()
-    mirror = {"type": "rectangle", "to_world": T().translate([-0.6, 0, 0]).rotate([0, 1, 0], 60).scale(2),
-              "bsdf": {"type": "conductor", "material": "none"}}
-    lamp = {"type": "point", "position": [0.2, 1, 0.5]}
-    shapes = {"performer": performer(run), "mirror": mirror, "floor": diffuse(0.6, FLOOR), "lamp": lamp}
-    # Roulette's decisions would depend on the density.
-    scene = scene_of(shapes=shapes, background=0.3, samples=32, max_depth=3, rr_depth=9)
-    params = mi.traverse(scene)
-    name = f"performer.interior_medium.{key}"
-    start = params[name].numpy().astype(np.float64)
-    origins, directions = fan(600, spread=0.4)
-    directions[:, 1] -= 0.1
-    colour = mi.Color3f(np.random.default_rng(1).uniform(0, 1, (3, 600)).astype(np.float32))
-
-    def value(at, mode=dr.ADMode.Primal):
-        params[name] = mi.Float(at.astype(np.float32))
-        if mode != dr.ADMode.Primal:
-            dr.enable_grad(params[name])
-        params.update()
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(1, 600)
-        L = scene.integrator().sample(mode, scene, sampler, rays(origins, directions))[0]
-        # In single precision, the rounding of the sum would be a few percent of the differences.
-        return sum(dr.sum(mi.Float64(channel)) for channel in mi.Color3f(L) * colour)
-
-    dr.backward(value(start, dr.ADMode.Backward))
-    gradient = dr.grad(params[name]).numpy().astype(np.float64)
-    assert np.isfinite(gradient).all() and np.abs(gradient).max() > 0
-    rng = np.random.default_rng(7)
-    size = {"weights": 3e-4, "pose": 1e-3}[key]
-    for _ in range(2):
-        direction = size * rng.uniform(0, 1, gradient.size) * np.sign(gradient)
-        ahead, behind = (float(value(start + sign * direction)[0]) for sign in (1, -1))
-        assert (ahead - behind) / 2 == pytest.approx(float(gradient @ direction), rel=1e-2)
-
-
-def test_training_through_mi_render_goes_down(make_run):
-    aim, scene = (scene_of(shapes={"p": performer(make_run(name, seed=seed, density_bias=0.0))}, background=1.0, size=8, samples=32)
-                  for name, seed in (("target", 5), ("start", 1)))
-    target = mi.render(aim, spp=64).numpy()
-    params = mi.traverse(scene)
-    optimiser = mi.ad.Adam(lr=1e-2)
-    optimiser["p.interior_medium.weights"] = params["p.interior_medium.weights"]
-    losses = []
-    for step in range(12):
-        params.update(optimiser)
-        loss = dr.mean(dr.square(mi.render(scene, params, spp=16, seed=step) - mi.TensorXf(target)), axis=None)
-        dr.backward(loss)
-        optimiser.step()
-        losses.append(float(loss.array[0]))
-    assert losses[-1] < 0.8 * losses[0]
-
-
-def test_gradients_of_anything_else_are_refused(make_run):
-    scene = scene_of(shapes={"p": performer(make_run()), "floor": diffuse(0.5, FLOOR)}, background=1.0, size=4, samples=16)
-    params = mi.traverse(scene)
-    key = "floor.bsdf.brdf_0.reflectance.value"
-    dr.enable_grad(params[key])
-    params.update()
-    with pytest.raises(InputError, match="reflectance"):
-        dr.backward(dr.sum(mi.render(scene, params, spp=1), axis=None))
-
-
-# Users' mistakes.
-
-
-@pytest.mark.parametrize(("change", "words"), [
-    ({"max_depth": 0}, "max_depth"), ({"max_depth": -2}, "max_depth"), ({"rr_depth": 0}, "rr_depth"), ({"samples": 0}, "samples"),
-    ({"aovs": "albedo"}, "depth, opacity"), ({"sample": 3}, "sample"),
-])
-def test_wrong_options_are_named(change, words):
-    with pytest.raises(Exception, match=words):
-        mi.load_dict({"type": "ndf_path", **change})
-
-
-def test_other_media_are_refused(make_run):
-    fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous", "sigma_t": 1.0}}
-    with pytest.raises(InputError, match="the shape 'fog'.*omogeneous"):
-        render_scene(scene_of(shapes={"performer": performer(make_run()), "fog": fog}, background=1.0, size=4))
-
-
-def test_a_shell_that_lets_nothing_through_is_refused(make_run):
-    with pytest.raises(InputError, match="the shape 'performer'.*null"):
-        render_scene(scene_of(shapes={"performer": performer(make_run(), bsdf="diffuse")}, background=1.0, size=4))

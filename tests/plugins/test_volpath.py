@@ -1,6 +1,6 @@
 """The medium in nested shells under Mitsuba's own integrators: means against closed forms, Mitsuba's grid medium and the quadrature.
 
-Means of several independent renders are compared within four standard errors of their difference, and what is stated beside.
+Means of several independent renders are compared within four standard errors of their difference, plus the stated tolerance.
 """
 
 import drjit as dr
