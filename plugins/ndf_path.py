@@ -33,9 +33,9 @@ def register() -> None:
         Path tracing around performers (:monosp:`ndf_path`)
         ----------------------------------------------------
 
-        Neural deformable fields emit and absorb, by the paper's equation, as under ``ndf_quadrature``;
+        Neural deformable fields emit and absorb light by the paper's equation, as under ``ndf_quadrature``;
         surfaces and emitters of any kind are path traced. Performers are seen in mirrors and through glass,
-        stand before and behind other things, throw shadows and shine on what is around them.
+        stand in front of and behind other things, cast shadows and light their surroundings.
 
         .. pluginparameters::
 
@@ -52,7 +52,7 @@ def register() -> None:
              padded box. (Default: 128)
          * - stratified
            - |bool|
-           - Shift each segment's samples by a random part of their distance, drawn from the sampler.
+           - Shift each segment's samples by a random fraction of their spacing, drawn from the sampler.
              (Default: false)
          * - hide_emitters
            - |bool|
@@ -62,17 +62,17 @@ def register() -> None:
            - What else to output, separated by commas: depth (distance along the ray to the performers),
              opacity (of the performers before the first surface). (Default: none)
 
-        - Any number of performers: ``ndf`` media in shapes whose BSDF is ``null``. Where performers overlap,
-          they absorb and emit together.
-        - Without a performer it is Mitsuba's ``path``, and before nothing but an environment,
+        - Supports any number of performers: ``ndf`` media in shapes whose BSDF lets light through. Where
+          performers overlap, they absorb and emit together.
+        - Without performers it equals Mitsuba's ``path``; with one and only an environment,
           ``ndf_quadrature``.
-        - Performers do not scatter light: what falls on them is not seen on them, but missing behind them.
-        - Performers are not sampled as emitters: surfaces find their light by sampling the BSDF.
-        - Shapes with BSDF ``null`` are passed through and do not count as a segment's end, nor do they block
-          shadow rays.
-        - Other media are refused.
-        - Differentiable in what ``ndf`` media expose, by plain automatic differentiation; other parameters
-          with gradients are refused.
+        - Performers do not scatter light: light that falls on them is not seen on them, but is missing
+          behind them.
+        - Performers are not sampled as emitters: their light reaches surfaces by BSDF sampling.
+        - Shapes with BSDF ``null`` are passed through: they neither end a segment nor block shadow rays.
+        - Refuses other media.
+        - Differentiable in the parameters of ``ndf`` media, by plain automatic differentiation. Refuses
+          gradients of other parameters.
 
         .. tabs::
             .. code-tab:: xml
@@ -228,8 +228,7 @@ def register() -> None:
 
 
 class _Part:
-    """A sampler whose wavefront holds `count` of its samples a pixel, as places in pixels are drawn from
-    it."""
+    """A sampler that claims `count` samples a pixel, to draw the pixel positions of one pass."""
 
     def __init__(self, sampler: mi.Sampler, count: int) -> None:
         self.sample_count = lambda: count
@@ -237,12 +236,12 @@ class _Part:
 
 
 def _divisor(number: int, limit: int) -> int:
-    """The largest divisor of `number` that is no more than `limit`; 1 at least."""
+    """The largest divisor of `number` that is at most `limit`, or 1."""
     return max((d for d in range(1, number + 1) if number % d == 0 and d <= limit), default=1)
 
 
 def _wide(ray: mi.Ray3f, width: int) -> mi.Ray3f:
-    """A ray in each lane, detached: what is the same in all would be a kernel's literal."""
+    """One ray a lane, detached; values shared by all lanes would become literals in kernels."""
     wide = dr.zeros(mi.Ray3f, width)
     wide.o += dr.detach(ray.o)
     wide.d += dr.detach(ray.d)
@@ -254,11 +253,11 @@ def _wide(ray: mi.Ray3f, width: int) -> mi.Ray3f:
 
 
 def _check_gradients(scene: mi.Scene, ray: mi.Ray3f) -> None:
-    """Refuses to give gradients that would be zero for want of an implementation."""
-    expected = "gradients asked of an `ndf` medium's parameters alone"
+    """Refuses gradients that are not implemented, instead of returning zero."""
+    expected = "gradients of an `ndf` medium's parameters only"
     if dr.grad_enabled(ray):
-        raise InputError("ndf_path", "gradients asked of the sensor's rays", expected)
+        raise InputError("ndf_path", "gradients of the sensor's rays", expected)
     params = mi.traverse(scene)
     for key, value in params.items():
         if dr.grad_enabled(value) and not isinstance(params.properties[key][2], FieldMedium):
-            raise InputError(f"ndf_path: {key}", "gradients asked of it", expected)
+            raise InputError(f"ndf_path: {key}", "gradients of this parameter", expected)

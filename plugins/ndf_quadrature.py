@@ -57,14 +57,13 @@ def register() -> None:
          * - aovs
            - |string|
            - What else to output, separated by commas: depth (distance along the ray), opacity, uvl (the
-             expected u, v and l), normal (of the body's surface nearest to what is seen). (Default: none)
+             expected u, v and l), normal (of the body's surface at the closest point). (Default: none)
 
         - Differentiable in the medium's parameters and in the sensor's rays, by plain automatic
           differentiation.
-        - Only samples in the band are projected and evaluated, all together.
-        - Sees neither surfaces, nor other media, nor emitters other than the environment: no light is
-          scattered.
-        - One ``ndf`` medium a scene.
+        - Evaluates only samples in the band, all of them together.
+        - Ignores surfaces, other media and all emitters but the environment: no light is scattered.
+        - A scene must hold exactly one ``ndf`` medium.
 
         .. tabs::
             .. code-tab:: xml

@@ -67,7 +67,7 @@ def sample_vertex(
         ray: N rays, scattered at `origin`.
         found: what they met.
         environment: whether the environment is visible to each ray.
-        last: no path goes on.
+        last: whether paths end here.
     """
     from mitsuba.ad.integrators.common import mis_weight  # Needs an active variant.
 
@@ -90,16 +90,12 @@ def sample_vertex(
     sampled &= dr.any(lit != 0.0)
     shadow = si.spawn_ray_to(ds.p)
     lit = dr.select(sampled & ~occluded(scene, shadow, sampled), lit, 0.0)
-    # The place given for an emitter at infinity is behind all shapes, but a performer may reach
-    # beyond the shape that carries it.
-    shadow.maxt = dr.select(
-        mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite), dr.inf, shadow.maxt
-    )
+    # The point of an emitter at infinity lies behind all shapes, but a performer may extend beyond the shape that
+    # carries it.
+    shadow.maxt = dr.select(mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite), dr.inf, shadow.maxt)
 
     point = dr.zeros(mi.Interaction3f, dr.width(ray.d))
-    point.t, point.time, point.wavelengths, point.p, point.n = (
-        si.t, si.time, si.wavelengths, si.p, si.n
-    )
+    point.t, point.time, point.wavelengths, point.p, point.n = si.t, si.time, si.wavelengths, si.p, si.n
     return Vertex(
         emitted=emitted,
         lit=lit,
