@@ -28,6 +28,11 @@ from ndf_mi.unpickle_records import Build, Malformed, Record, admitted, checked_
 MOST_BYTES = 2**31
 """The largest file, or member of an ``.npz``, that is read; a body model is a hundredth of it."""
 
+MOST_UNPACKED, MOST_RATIO = 2**26, 100
+"""A member of an ``.npz`` that takes more bytes than the first must have been packed to no less than 1 in so
+many.
+"""
+
 _ADMITTED = "arrays of numpy, matrices of scipy.sparse and arrays of chumpy, in lists and dicts"
 
 
@@ -65,12 +70,16 @@ def load_npz(path: str | os.PathLike[str], keys: Sequence[str]) -> dict[str, Any
     found: dict[str, Any] = {}
     try:
         with zipfile.ZipFile(io.BytesIO(_contents(path, "an .npz file"))) as archive:
-            sizes = {entry.filename: entry.file_size for entry in archive.infolist()}
+            entries = {entry.filename: entry for entry in archive.infolist()}
             for key in keys:
-                name = f"{key}.npy"
-                if name in sizes:
-                    _check_size(f"{path}: {key}", sizes[name])
-                    found[key] = _npy(f"{path}: {key}", archive.read(name))
+                entry = entries.get(f"{key}.npy")
+                if entry is not None:
+                    _check_size(f"{path}: {key}", entry.file_size)
+                    if entry.file_size > max(MOST_UNPACKED, MOST_RATIO * entry.compress_size):
+                        ratio = entry.file_size // max(entry.compress_size, 1)
+                        raise InputError(f"{path}: {key}", f"data that unpack to {ratio} times their size",
+                                         f"{MOST_RATIO} times at most")
+                    found[key] = _npy(f"{path}: {key}", archive.read(entry))
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
         raise InputError(path, f"a damaged or truncated file ({error})", "an .npz file") from None
     return found

@@ -194,6 +194,11 @@ class TestNpy:
         found = unpickle.load_npz(tmp_path / "a.npz", ("plain", "pickled", "absent"))
         assert set(found) == {"plain", "pickled"} and found["pickled"].toarray().tolist() == [[1, 0], [0, 1]]
 
+    def test_npz_that_unpacks_to_much(self, tmp_path: Path) -> None:
+        np.savez_compressed(tmp_path / "a.npz", zeros=np.zeros(2**24, dtype=np.float64))
+        with pytest.raises(InputError, match="a.npz: zeros: found .*times"):
+            unpickle.load_npz(tmp_path / "a.npz", ("zeros",))
+
     def test_no_npz(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="a.npz: found a damaged"):
             unpickle.load_npz(write(tmp_path / "a.npz", b"PK\x03\x04 no"), ("a",))
