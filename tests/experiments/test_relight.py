@@ -12,6 +12,7 @@ from ndf_mi.field import preset
 from ndf_mi.learn.loop import start, train
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import relightable
+from ndf_mi.surface import schedule
 
 
 @pytest.fixture
@@ -32,6 +33,13 @@ def trained(captures, tmp_path):
     return tmp_path / "run"
 
 
+@pytest.fixture
+def quick(monkeypatch):
+    """A short schedule for the mesh's fit; schedules have tests of their own."""
+    short = schedule.Schedule(texture_rates=(3e-2, 1e-1), search_steps=2, window_steps=4, max_steps=8)
+    monkeypatch.setattr(schedule, "DEFAULT", short)
+
+
 def call(run, capture, under, out, *more):
     return main(
         [
@@ -42,7 +50,9 @@ def call(run, capture, under, out, *more):
 
 
 @pytest.mark.long
-def test_it_measures_both_under_both_lights_and_keeps_what_is_there(captures, trained, tmp_path, capsys):
+def test_it_measures_both_under_both_lights_and_keeps_what_is_there(
+    captures, trained, quick, tmp_path, capsys
+):
     out = tmp_path / "out"
     assert call(trained, *captures, out) == 0
     printed = capsys.readouterr().out.lower()
