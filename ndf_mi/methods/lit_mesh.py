@@ -61,7 +61,7 @@ class RelightableMesh:
 
     def metadata(self) -> dict[str, Any]:
         """The members of `MeshRecord`, and keys that `methods.base` lists."""
-        return self._record.metadata("rate")
+        return {**self._record.metadata("rate"), "note": f"Learning rate {self._record.rate:g}."}
 
     def under(self, light: Light, frames: Sequence[int], spp: int) -> LitMesh:
         """The mesh in some light; arguments as in `Relightable.under`."""
