@@ -33,10 +33,12 @@ def test_leftovers_of_a_killed_write_are_ignored(tmp_path: Path) -> None:
     """Killed while the first animation.json is written: only what would be renamed to it is there."""
     place = tmp_path / "a"
     killed = "import os, pathlib\nfrom ndf_mi import files\n"
-    killed += f"with files.replacing(pathlib.Path({str(place / 'animation.json')!r})) as beside:\n    os._exit(9)\n"
+    target = str(place / "animation.json")
+    killed += f"with files.replacing(pathlib.Path({target!r})) as beside:\n    os._exit(9)\n"
     assert subprocess.run([sys.executable, "-c", killed], check=False).returncode == 9
     (left,) = place.iterdir()
-    assert left.suffix == ".json" and files.is_left_over(left) and not files.is_left_over(place / "animation.json")
+    assert left.suffix == ".json" and files.is_left_over(left)
+    assert not files.is_left_over(place / "animation.json")
     FrameFolder(place, {}).write(0, np.zeros((2, 2, 3)), "print")
     assert FrameFolder(place, {}).has(0, "print")
 
