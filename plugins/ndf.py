@@ -15,7 +15,6 @@ from ndf_mi.model import PosedModel
 from ndf_mi.projection import PosedSurface
 from ndf_mi.render import properties
 from ndf_mi.render.nested import Majorants
-from ndf_mi.render.performers import NeuralField
 from ndf_mi.render.sparse_grid import SparseGrid
 
 _PARAMETERS = ("weights", "grid", "vertices", "pose")
@@ -39,7 +38,26 @@ _EXCEEDED = (
 def register() -> None:
     """Defines and registers the plugin for the active variant."""
 
-    class NDFMedium(mi.Medium):
+    class Part(mi.Medium):
+        """What an ``ndf`` medium and its layers share; each has a `neural_field` and a `majorant` in 1/m."""
+
+        def __init__(self, props: mi.Properties) -> None:
+            super().__init__(props)
+            self.m_is_homogeneous = False
+            self.m_has_spectral_extinction = False
+
+        def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
+            return self.neural_field.posed().bbox.ray_intersect(ray)
+
+        def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
+            return mi.UnpolarizedSpectrum(self.majorant)
+
+        def get_scattering_coefficients(
+            self, mei: mi.MediumInteraction3f, active: mi.Bool = True
+        ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
+            return self.neural_field.coefficients(mei, self.majorant, active)
+
+    class NDFMedium(Part):
         r"""
         .. _medium-ndf:
 
@@ -101,8 +119,6 @@ def register() -> None:
 
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
-            self.m_is_homogeneous = False
-            self.m_has_spectral_extinction = False
             rename_parameter(props, "ndf", "lattice", "grid_spacing")
             self.run = properties.run(props)
             self.frame = properties.frame(self.run, props)
@@ -135,7 +151,7 @@ def register() -> None:
             self._bind()
 
         @property
-        def neural_field(self) -> NeuralField:
+        def neural_field(self) -> NDFMedium:
             """The medium itself."""
             return self
 
@@ -233,17 +249,6 @@ def register() -> None:
                 self._warned.add(kind)
                 mi.Log(mi.LogLevel.Warn, f"ndf: {self.run.path}, frame {self.frame}: {text}")
 
-        def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
-            return self._model.bbox.ray_intersect(ray)
-
-        def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
-            return mi.UnpolarizedSpectrum(self.majorant)
-
-        def get_scattering_coefficients(
-            self, mei: mi.MediumInteraction3f, active: mi.Bool = True
-        ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
-            return self.coefficients(mei, self.majorant, active)
-
         def coefficients(
             self, mei: mi.MediumInteraction3f, majorant: mi.Float, active: mi.Bool = True
         ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
@@ -268,57 +273,38 @@ def register() -> None:
                 f"  majorant = {self.majorant[0]:.4g}\n]"
             )
 
-    class NDFLayer(mi.Medium):
-        """The field of an ``ndf`` medium between two nested shells, under a majorant of its own. Made by
-        ``ndf_shell``."""
+    class NDFLayer(Part):
+        """The field of an ``ndf`` medium between two nested shells, with its own majorant; made by ``ndf_shell``."""
 
         def __init__(self, field: NDFMedium, index: int) -> None:
             props = mi.Properties("ndf")
             props["phase"] = field.phase_function()
             props["sample_emitters"] = field.use_emitter_sampling()
             super().__init__(props)
-            self.m_is_homogeneous = False
-            self.m_has_spectral_extinction = False
             self.index = index
-            self.field = field
-
-        @property
-        def neural_field(self) -> NeuralField:
-            """The medium that this is a layer of."""
-            return self.field
+            self.neural_field = field
 
         @property
         def outermost(self) -> bool:
-            """Whether it lies within the outermost shell only."""
+            """Whether only the outermost shell encloses it."""
             return self.index == 0
 
         @property
         def majorant(self) -> mi.Float:
-            """The layer's majorant in 1/m."""
-            return self.field.layer_majorants[self.index]
+            """In 1/m."""
+            return self.neural_field.layer_majorants[self.index]
 
         def traverse(self, callback: Any) -> None:
             if self.index == 0:
-                self.field.traverse(callback)
+                self.neural_field.traverse(callback)
 
         def parameters_changed(self, keys: list[str]) -> None:
-            self.field.parameters_changed(keys)
-
-        def intersect_aabb(self, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Float, mi.Float]:
-            return self.field.intersect_aabb(ray)
-
-        def get_majorant(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> mi.UnpolarizedSpectrum:
-            return mi.UnpolarizedSpectrum(self.majorant)
-
-        def get_scattering_coefficients(
-            self, mei: mi.MediumInteraction3f, active: mi.Bool = True
-        ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
-            return self.field.coefficients(mei, self.majorant, active)
+            self.neural_field.parameters_changed(keys)
 
         def to_string(self) -> str:
             return (
                 f"NDFLayer[\n  index = {self.index},\n  majorant = {self.majorant[0]:.4g},\n"
-                f"  field = {self.field}\n]"
+                f"  field = {self.neural_field}\n]"
             )
 
     mi.register_medium("ndf", lambda props: NDFMedium(props))
