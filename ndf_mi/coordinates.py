@@ -1,5 +1,4 @@
-"""The networks' coordinates: by default the projected point (u*, v*, l*), and the alternatives it is compared
-with."""
+"""The networks' coordinates: the projected point (u*, v*, l*) by default, and alternatives."""
 
 from __future__ import annotations
 
@@ -29,8 +28,8 @@ class Coordinates(Protocol):
 
 
 class Distance:
-    """l as a number in [0, 1]: `signed` maps −`band_inside` … `band` to it, `unsigned` |l|, and `none` takes
-    l = 0 everywhere."""
+    """l as a number in [0, 1]: from −`band_inside` … `band` (`signed`), from |l| (`unsigned`), or of l = 0
+    (`none`)."""
 
     def __init__(self, preset: Preset) -> None:
         self._kind = preset.distance
@@ -87,8 +86,7 @@ class SurfacePoint:
 
 
 class World:
-    """(x, y, z) itself, scaled by one factor so that all poses' bodies with their bands lie in the unit cube;
-    clamped to it."""
+    """(x, y, z) itself, scaled so that the bands of all poses lie in the unit cube; clamped to it."""
 
     barycentric = False
 

@@ -1,5 +1,4 @@
-"""N(x, d, θ) = (σ, c): projection, deformation and field composed. Plugins, training and methods hold
-this."""
+"""N(x, d, θ) = (σ, c): projection, deformation and field composed."""
 
 from __future__ import annotations
 
@@ -55,8 +54,7 @@ class Model:
 
 
 class PosedModel:
-    """A :class:`Model` with parameters at one pose: a `VolumeField` for the quadrature, and a medium's
-    coefficients.
+    """A :class:`Model` with parameters at one pose: a `VolumeField`, also for media.
 
     Args:
         model: architecture and coordinates.
@@ -95,8 +93,7 @@ class PosedModel:
         return self.surface.may_contain(x)
 
     def locate(self, x: mi.Point3f, active: mi.Bool) -> Located:
-        """Projects points, detached. Valid are the active ones in the band, with an occupancy only those that
-        it keeps."""
+        """Projects points, detached. Valid: active, in the band, and kept by the occupancy if any."""
         with dr.suspend_grad():
             found = self.surface.project(x, active)
             located = self._located(found)
@@ -139,8 +136,7 @@ class PosedModel:
         return self._sample(sigma, colour, located, active)
 
     def fused(self, x: mi.Point3f, d: mi.Vector3f, active: mi.Bool | bool = True) -> FieldSample:
-        """Density and colour at any point, for symbolic code; density is zero outside the band. Attached as
-        :meth:`evaluate`."""
+        """Density and colour at any point, for symbolic code; zero density outside the band."""
         located = self._located(self.surface.project(x, mi.Bool(active)))
         u, d, n = self._inputs(x, d, located, located.valid)
         return self._sample(*self.bound.fused(u, d, n, located.valid), located, located.valid)
@@ -161,8 +157,7 @@ class PosedModel:
     def _inputs(
         self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool
     ) -> tuple[list[mi.Float], mi.Vector3f, mi.Normal3f]:
-        """The networks' inputs, constants in inactive lanes: a number that is not finite there would poison
-        every gradient."""
+        """The networks' inputs, constant in inactive lanes: a NaN there would poison every gradient."""
         u = self._coordinates(x, located, active)
         return (u, dr.select(active, d, mi.Vector3f(0.0, 0.0, 1.0)),
                 dr.select(active, located.normal, mi.Normal3f(0.0, 0.0, 1.0)))
@@ -175,8 +170,7 @@ class PosedModel:
         )
 
     def _prefers_fused(self) -> bool:
-        """Whether to use cooperative vectors where either form would do: they are faster for small networks,
-        forward."""
+        """Whether to use cooperative vectors where either form would do."""
         return (
             self.bound.width <= variants.fused_width()
             if self._networks == "auto"

@@ -1,5 +1,4 @@
-"""Elementary functions that are accurate near zero, and sums that are accurate over many terms; Dr.Jit lacks
-both."""
+"""Functions that are accurate near zero and sums over many terms, which Dr.Jit lacks."""
 
 from __future__ import annotations
 
@@ -67,8 +66,8 @@ def softplus(x: T) -> T:
 
 
 def block_sum(values: mi.Float, count: int) -> mi.Float:
-    """The sum of each `count` adjacent values. Differentiable; in double precision for more than
-    :data:`SINGLE` terms."""
+    """The sum of each `count` adjacent values. Differentiable; double precision above :data:`SINGLE`
+    terms."""
     if count <= SINGLE:
         return dr.block_sum(values, count)
     return mi.Float(dr.block_sum(mi.Float64(values), count))

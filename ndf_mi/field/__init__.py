@@ -1,5 +1,5 @@
-"""The neural field: encodings, networks, presets. Pure functions of numbers; scenes, files and meshes are
-unknown here."""
+"""The neural field: encodings, networks, presets. Pure functions of numbers, without scenes, files or
+meshes."""
 
 from ndf_mi.field.field import BoundField, Field
 from ndf_mi.field.parameters import FieldParameters

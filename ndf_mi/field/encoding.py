@@ -64,7 +64,7 @@ class GridEncoding:
 
     def __call__(self, table: mi.Float, u: Any, active: mi.Bool | bool = True) -> list[mi.Float]:
         """Features at ũ, as many values as the preset's `dimension`, clamped to the unit cube; attached to
-        the table and to ũ."""
+        both."""
         u = [dr.clip(value, 0.0, 1.0) * scale for value, scale in zip(u, self._scale, strict=True)]
         self._encoding.data = table
         try:

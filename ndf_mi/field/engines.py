@@ -1,5 +1,4 @@
-"""Two ways to run layers on many samples: dense matrix products, and cooperative vectors with one sample a
-lane."""
+"""Two ways to run layers on many samples: matrix products, and cooperative vectors with a sample a lane."""
 
 from __future__ import annotations
 

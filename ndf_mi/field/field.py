@@ -1,7 +1,6 @@
 """The neural field of NDF: pose features, deformation net, density and colour, on given coordinates.
 
-It knows nothing of meshes, scenes or files. Its input is a point (u*, v*, l*) of the unit cube, or other
-coordinates there.
+It knows nothing of meshes, scenes or files. Its input is a point (u*, v*, l*) of the unit cube.
 """
 
 from __future__ import annotations
@@ -74,8 +73,7 @@ class Field:
 
 
 class BoundField:
-    """A :class:`Field` with parameters at one pose. :meth:`batched` and :meth:`fused` compute the same
-    values.
+    """A :class:`Field` with parameters at one pose. :meth:`batched` equals :meth:`fused`.
 
     Attributes:
         preset, majorant: the field's.
@@ -135,8 +133,7 @@ class BoundField:
         return dr.select(run.finite, sigma, dr.nan), colour
 
     def density(self, u: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
-        """σ alone as :meth:`batched` returns it, detached and evaluated, by the faster form; for evaluated
-        code.
+        """σ alone as :meth:`batched` returns it, detached, by the faster form; for evaluated code.
 
         Args:
             u: as for :meth:`batched`.

@@ -92,8 +92,7 @@ def layout(preset: Preset, joints: int) -> dict[str, Layer]:
 
 def initial_weights(layers: dict[str, Layer], rng: np.random.Generator) -> np.ndarray:
     """Untrained weights, float32: uniform in ±1/√(fan-in) for matrices and biases. D's last layer has a
-    hundredth of that, so that training starts from the undeformed projection. Products with the pose start at
-    zero."""
+    hundredth of that, so that training starts undeformed. Products with the pose start at zero."""
     parts = []
     for layer in layers.values():
         bound = 1.0 / np.sqrt(layer.inputs + layer.pose)

@@ -1,5 +1,4 @@
-"""A grid of where in (u, v, l) a field in training is dense, so that its empty parts need not be
-evaluated."""
+"""Where in (u, v, l) a field in training is dense; its empty parts need not be evaluated."""
 
 from __future__ import annotations
 
@@ -65,8 +64,7 @@ class Occupancy:
         return float(dr.mean(dr.select(self.values > self._threshold, mi.Float(1), mi.Float(0)))[0])
 
     def restore(self, values: np.ndarray, step: int) -> None:
-        """Sets the cells' values and the number of steps observed; ValueError unless there are as many values
-        as cells."""
+        """Sets the cells' values and the steps observed; ValueError if the number of values is wrong."""
         if values.shape != (int(np.prod(self._resolution)),):
             raise ValueError(f"{values.shape} occupancy values")
         self.values = mi.Float(values.astype(np.float32))

@@ -1,5 +1,4 @@
-"""The networks' architectures as data: `paper` as published, `fast` as we would choose it today, `tiny` for
-tests."""
+"""Architectures of the networks: `paper` as published, `fast` as of today, `tiny` for tests."""
 
 from __future__ import annotations
 
@@ -45,8 +44,7 @@ class Preset:
     """Factor on the candidate samples a ray: samples farther apart than the band is thick would miss it."""
 
     pose_layers: tuple[int, ...] = (64, 16)
-    """Widths of the pose network; the last is the number of pose features. Empty: nothing depends on the
-    pose."""
+    """Widths of the pose network; the last is the number of features. Empty: no dependence on the pose."""
 
     pose_products: bool = False
     """Whether the pose features f(θ) also mix matrices: where they join a layer, its matrix W becomes W + Σ_k
@@ -93,8 +91,7 @@ class Preset:
     """After this many layers γ(ũ) and the pose features are joined again; 0 for never."""
 
     feature_width: int = 16
-    """Width of the features that the density network passes to the colour network; 0 passes its last hidden
-    layer unchanged."""
+    """Width of the features that the density network passes on; 0 passes its last hidden layer unchanged."""
 
     colour_linear: tuple[int, ...] = ()
     """Linear layers between the density network and the view direction; the pose joins at the second."""
@@ -103,8 +100,7 @@ class Preset:
     """Hidden widths of the colour network M_c after the view direction has joined."""
 
     direction_octaves: int = 2
-    """Octaves of γ on the view direction; −1 leaves it out, so that colours are the same from all
-    directions."""
+    """Octaves of γ on the view direction; −1: colours are the same from all directions."""
 
     direction: Literal["view", "mirrored"] = "view"
     """The direction that enters: the view direction as in the paper, or its reflection by the body's normal,
@@ -126,8 +122,7 @@ class Preset:
     """Factor from the network's output to the activation in 1/m."""
 
     density_bias: float = -4.0
-    """Added to the network's output before the activation (`softplus` only); it decides how thin the field
-    starts."""
+    """Added to the network's output before the activation (`softplus` only); how thin the field starts."""
 
     def __post_init__(self) -> None:
         for key, good, expected in self._requirements():

@@ -12,8 +12,7 @@ import mitsuba as mi
 class Located:
     """Where N points lie relative to a field's surface, found by one search; detached.
 
-    It is thinned as a value: ``dr.gather(Located, located, index)``. Lanes that are not `valid` are finite
-        and mean nothing.
+    It is thinned as a value: ``dr.gather(Located, located, index)``. Lanes that are not `valid` are finite.
 
     Attributes:
         triangle: number of the closest triangle.

@@ -1,5 +1,4 @@
-"""P_θ: from a point near the posed body to the closest point on its surface, its texture coordinates and the
-signed distance."""
+"""P_θ: from a point near the posed body to its texture coordinates and signed distance."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""A coarse grid over the band's box: which cells the band can touch, and where in the tree their searches
-begin."""
+"""A coarse grid over the band's box: which cells it can touch, and where searches begin."""
 
 from __future__ import annotations
 
@@ -62,8 +61,7 @@ class Cells:
         dr.eval(self._rank, self._node, self._trail)
 
     def locate(self, x: mi.Point3f) -> tuple[mi.UInt32, mi.Bool]:
-        """The number of the cell of x, below ``count``, and whether there is one: blocks off the band have
-        none."""
+        """The number of the cell of x, below ``count``, and whether there is one."""
         at = (x - self._low) * self._per_metre
         inside = dr.all((at >= 0) & (at < BLOCK * mi.Vector3f(self._blocks)))
         cell = mi.Point3u(dr.select(inside, at, 0))
@@ -74,8 +72,7 @@ class Cells:
         return (rank - 1) * BLOCK**3 + local.x + BLOCK * (local.y + BLOCK * local.z), inside
 
     def start(self, cell: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
-        """Node and trail with which a search from the cell begins; node 0 where the band does not touch the
-        cell."""
+        """Node and trail with which a search from the cell begins; node 0 off the band."""
         return dr.gather(mi.UInt32, self._node, cell, active), dr.gather(mi.UInt32, self._trail, cell, active)
 
     def may_contain(self, x: mi.Point3f) -> mi.Bool:

@@ -1,5 +1,4 @@
-"""The closest point on a given triangle in closed form, attached: gradients flow to the query and to the
-vertices."""
+"""The closest point on a given triangle in closed form, attached to query and vertices."""
 
 from __future__ import annotations
 

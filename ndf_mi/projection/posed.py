@@ -100,8 +100,7 @@ class PosedSurface:
             return self._cells.may_contain(mi.Point3f(dr.detach(x)))
 
     def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> mi.UInt32:
-        """Number of the closest triangle, detached; 0 in lanes that are inactive or farther away than the
-        band."""
+        """Number of the closest triangle, detached; 0 in lanes that are inactive or off the band."""
         return self._closest(x, active)[0]
 
     def project(self, x: mi.Point3f, active: mi.Bool | bool = True) -> Projection:

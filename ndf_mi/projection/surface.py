@@ -11,8 +11,7 @@ from ndf_mi.projection.topology import build_tree, half_edges
 
 
 def aligned(array: mi.Float | mi.UInt32) -> mi.Float | mi.UInt32:
-    """A copy in Dr.Jit's own memory, aligned so that several adjacent values can be read at once; numpy's is
-    not."""
+    """A copy in Dr.Jit's own memory, aligned for reads of several values at once."""
     array = dr.gather(type(array), array, dr.arange(mi.UInt32, dr.width(array)))
     dr.eval(array)
     return array

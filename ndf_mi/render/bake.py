@@ -1,5 +1,4 @@
-"""A field sampled at the nodes of a grid: only the nodes that lie in the field are evaluated, by batched
-networks, attached."""
+"""A field sampled at the nodes of a grid: only nodes in the field are evaluated; attached."""
 
 from __future__ import annotations
 

@@ -188,8 +188,7 @@ class ImageRenderer:
         return out
 
     def tiling(self, sample_factor: int, rays: int) -> tuple[int, int, int]:
-        """Number of rounds, samples a ray in each, and rays a tile, for `rays` rays that meet a field with
-        this `sample_factor`."""
+        """Number of rounds, samples a ray in each, and rays a tile, for `rays` rays that meet the field."""
         rounds = max(n for n in range(1, min(self.rounds, self.samples) + 1) if self.samples % n == 0)
         count = self.samples // rounds
         # Padding costs little a lane, but for few samples of few rays it would be most lanes.
@@ -220,6 +219,5 @@ def _place(number: int) -> tuple[float, float]:
 
 
 def _shift(pixel: mi.UInt32, ray: int) -> mi.Float:
-    """A random number in [0, 1) for a pixel and its ray. The default of four rounds is biased over
-    neighbouring pixels."""
+    """A random number in [0, 1) for a pixel and its ray. Four rounds, the default, are biased."""
     return mi.sample_tea_float32(pixel, dr.opaque(mi.UInt32, ray), 8)

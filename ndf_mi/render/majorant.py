@@ -110,8 +110,7 @@ def bounds(volume: BoundedField, preset: Preset, sampled: Distances, margin: flo
 
 
 def random_points(grid: Grid, cells: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """(count, 3) float64 points, uniform in the cells where (nx, ny, nz) `cells` is true; none if there are
-    no such cells."""
+    """(count, 3) float64 points, uniform in the cells where (nx, ny, nz) `cells` is true."""
     rng = np.random.default_rng(seed)
     chosen = np.flatnonzero(cells)
     if not len(chosen):
@@ -121,8 +120,7 @@ def random_points(grid: Grid, cells: np.ndarray, count: int, seed: int) -> np.nd
 
 
 def exceeding(points: np.ndarray, sigma: np.ndarray, majorants: np.ndarray) -> Excess | None:
-    """Compares densities (N,) at points (N, 3) with the majorants (N,) there; None where none exceeds its
-    own."""
+    """Compares densities (N,) at points (N, 3) with the majorants (N,) there; None if none exceeds it."""
     above = sigma > majorants
     if not above.any():
         return None

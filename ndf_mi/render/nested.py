@@ -1,5 +1,4 @@
-"""Nested shells: closed meshes around increasingly dense parts of a field, between which local majorants
-hold."""
+"""Nested shells: closed meshes around ever denser parts of a field, with local majorants."""
 
 from __future__ import annotations
 
@@ -109,7 +108,7 @@ def best_levels(estimate: Bounds, count: int) -> tuple[float, ...]:
 
 
 def layer_majorants(grid: Grid, rank: np.ndarray, estimate: Bounds) -> list[float]:
-    """For each layer the largest estimate in 1/m among the cells that it reaches into; at least
+    """For each layer the largest estimate in 1/m of the cells that it reaches into; at least
     :data:`FLOOR`."""
     upper = _on(grid, estimate)
     lowest, highest = corner_ranks(rank)
@@ -189,8 +188,7 @@ class Majorants:
 
 
 def _on(grid: Grid, estimate: Bounds) -> np.ndarray:
-    """The estimates on another grid of the same spacing: the maximum over the cells that reach into each of
-    its cells."""
+    """The estimates on another grid of the same spacing: the maximum over overlapping cells."""
     source = estimate.grid
     upper = np.zeros(grid.shape, dtype=np.float32)
     offset = (source.low - grid.low) / grid.cell

@@ -23,8 +23,7 @@ def check_suffix(path: str | os.PathLike[str]) -> None:
 
 
 def write_exr(path: str | os.PathLike[str], channels: dict[str, np.ndarray]) -> None:
-    """Writes named channels, each (h, w), as 32-bit floats, losslessly compressed; completely or not at
-    all."""
+    """Writes named channels, each (h, w), as 32-bit floats, lossless; completely or not at all."""
     pixels = np.stack(list(channels.values()), axis=-1).astype(np.float32)
     with files.replacing(path) as beside:
         mi.Bitmap(pixels, mi.Bitmap.PixelFormat.MultiChannel, list(channels)).write(str(beside))

@@ -1,5 +1,4 @@
-"""The performers of a scene: how media that hold neural fields are recognised, and what a scene may not hold
-besides."""
+"""The performers of a scene: how their media are recognised, and what a scene may hold."""
 
 from __future__ import annotations
 
@@ -43,8 +42,7 @@ class NeuralField(Protocol):
 
 @runtime_checkable
 class FieldMedium(Protocol):
-    """What integrators and checks recognise a medium of a neural field by: such a medium itself, or one layer
-    of it."""
+    """A medium of a neural field or a layer of one, as integrators and checks recognise it."""
 
     @property
     def neural_field(self) -> NeuralField:
@@ -53,8 +51,7 @@ class FieldMedium(Protocol):
 
     @property
     def outermost(self) -> bool:
-        """Whether the medium's shape bounds the whole field; false for the inner layers between nested
-        shells."""
+        """Whether the medium's shape bounds the whole field; false for inner layers."""
         ...
 
 

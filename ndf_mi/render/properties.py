@@ -22,8 +22,7 @@ def count(props: mi.Properties, plugin: str, name: str, default: int) -> int:
 
 
 def aovs(props: mi.Properties, plugin: str, known: Collection[str]) -> list[str]:
-    """The names in the property `aovs`, separated by commas. Raises InputError for one that is not in
-    `known`."""
+    """The names in the property `aovs`, separated by commas. Raises InputError for unknown ones."""
     names = [name.strip() for name in str(props.get("aovs", "")).split(",") if name.strip()]
     for name in names:
         if name not in known:

@@ -19,8 +19,7 @@ from ndf_mi.render.sampling import box_interval, compact, stratified
 
 
 class VolumeField(Protocol):
-    """What can be rendered: something in a box that knows cheaply where it is empty, and what it is
-    elsewhere."""
+    """What can be rendered: something in a box that can tell cheaply where it is empty."""
 
     bbox: mi.BoundingBox3f
 
@@ -32,13 +31,11 @@ class VolumeField(Protocol):
         ...
 
     def locate(self, x: mi.Point3f, active: mi.Bool) -> Located:
-        """Where points lie relative to the field's surface, by a detached search; `valid` where the field is
-        to be evaluated."""
+        """Where points lie relative to the field's surface, detached; `valid` where to evaluate the field."""
         ...
 
     def density(self, x: mi.Point3f, located: Located, active: mi.Bool) -> mi.Float:
-        """σ at located points in 1/m, zero in inactive lanes; detached. Only used to find out what is behind
-        opaque parts."""
+        """σ at located points in 1/m, zero in inactive lanes; detached. Finds what is behind opaque parts."""
         ...
 
     def evaluate(self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool) -> FieldSample:
@@ -152,8 +149,7 @@ def sample_rays(
 
 
 def _thinned(index: mi.UInt32, located: Located, keep: mi.Bool) -> tuple[mi.UInt32, Located, mi.Bool, int]:
-    """The lanes to keep, padded as by :func:`compact`: their strata, where they lie, which are real and how
-    many these are."""
+    """The lanes to keep, padded as by :func:`compact`: strata, locations, which are real and how many."""
     lane, real, count = compact(keep)
     index, located = dr.gather(mi.UInt32, index, lane), dr.gather(Located, located, lane)
     # Kernels that use `located` gather it themselves, which costs less than a kernel that only copies.
@@ -162,8 +158,7 @@ def _thinned(index: mi.UInt32, located: Located, keep: mi.Bool) -> tuple[mi.UInt
 
 
 def scatter(value: mi.Float, index: mi.UInt32, active: mi.Bool, width: int) -> mi.Float:
-    """`width` lanes with the active lanes of `value` at their indices, each index once, and zero
-    elsewhere."""
+    """`width` lanes with the active lanes of `value` at their indices, zero elsewhere."""
     target = dr.zeros(mi.Float, width)
     dr.scatter(target, value, index, active, mode=dr.ReduceMode.Permute)
     return target

@@ -29,8 +29,8 @@ class Replay:
         self._sampler = mi.load_dict({"type": "independent"})
 
     def radiance(self, ray: mi.Ray3f, seed: int) -> mi.Color3f:
-        """(N) linear radiance, detached, of one path along each of N rays; independent of one another and for
-        different seeds."""
+        """(N) linear radiance, detached, of one path along each of N rays; independent for different
+        seeds."""
         with dr.suspend_grad():
             found, valid, *_ = self._integrator.sample(
                 mode=dr.ADMode.Primal,

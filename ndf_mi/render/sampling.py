@@ -1,5 +1,4 @@
-"""Where rays are sampled, and how the few samples that matter are gathered into arrays of few different
-sizes."""
+"""Where rays are sampled, and how the samples that matter are gathered."""
 
 from __future__ import annotations
 

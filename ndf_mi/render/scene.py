@@ -79,8 +79,7 @@ def render_scene(
 
 
 def _plainly(error: BaseException) -> str:
-    """The message of a Mitsuba exception without the Python frames that it quotes: the plugin's own message
-    where there is one."""
+    """The message of a Mitsuba exception without Python frames; the plugin's own message if there is one."""
     text = str(error)
     own = text.rpartition("InputError: ")[2] if "InputError: " in text else text
     lines = [line.strip() for line in own.splitlines()]

@@ -1,5 +1,4 @@
-"""Checks a scene that holds `ndf` media for mistakes that Mitsuba's own integrators render wrongly without a
-warning."""
+"""Checks scenes with `ndf` media for what Mitsuba's integrators would silently render wrongly."""
 
 from __future__ import annotations
 

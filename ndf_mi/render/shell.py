@@ -1,5 +1,4 @@
-"""Closed meshes around the band of a posed body, so that ray tracing skips the empty space around it and
-inside it.
+"""Closed meshes around the band of a posed body, so that rays skip the empty space around and inside.
 
 Regions are sets of a grid's cells. Marching cubes cuts a mesh from a function on the grid's nodes that is
 negative at all eight corners of every cell of the region. It leaves such cells entirely inside, so that the
@@ -55,8 +54,7 @@ class Grid:
         return cls(low, cell, (nx, ny, nz))
 
     def index(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The cells of points (N, 3) as three arrays of integers; a point outside belongs to the nearest cell
-        of the border."""
+        """The cells of points (N, 3) as three arrays of integers; points outside belong to the border."""
         at = np.floor((points - self.low) / self.cell).astype(np.int64)
         return tuple(np.clip(at[:, k], 0, self.shape[k] - 1) for k in range(3))
 

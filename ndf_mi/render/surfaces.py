@@ -1,5 +1,4 @@
-"""The surfaces that rays meet behind shells: shapes that bound a medium but neither bend nor scatter light
-are passed through."""
+"""The surfaces that rays meet behind shells: shapes that only bound a medium are passed through."""
 
 from __future__ import annotations
 

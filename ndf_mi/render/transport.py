@@ -1,5 +1,4 @@
-"""Emission and absorption of several fields along ray segments: fields that overlap are integrated jointly,
-and surfaces end segments.
+"""Emission and absorption of several fields along ray segments: jointly where fields overlap.
 
 Along a segment of length t_s, with the extinctions σ_k and colours c_k of fields k,
 
@@ -73,8 +72,7 @@ class _Medium:
     colour: list[mi.Float]
 
     def optical_depth(self, ray: mi.UInt32, t: mi.Float) -> mi.Float:
-        """From each ray's origin to the distance t; linear within a stratum, constant before the first and
-        behind the last."""
+        """From each ray's origin to the distance t; linear within strata, constant outside."""
         strata = self.strata
         width = dr.gather(mi.Float, strata.width, ray)
         place = dr.clip(
