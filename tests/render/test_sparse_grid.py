@@ -83,7 +83,7 @@ def test_nothing_at_all_is_a_field_too(make_run):
     assert (at(found, points_of(np.random.default_rng(3), 100)) == 0).all()
 
 
-def test_too_fine_a_lattice_is_refused_before_it_is_made(make_run, monkeypatch):
+def test_too_fine_a_grid_is_refused_before_it_is_made(make_run, monkeypatch):
     with pytest.raises(InputError, match="memory"):
         blocked(make_run(), 1e-5)
     monkeypatch.setattr(sparse_grid, "LARGEST", 1 << 20)
