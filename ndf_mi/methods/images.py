@@ -33,11 +33,22 @@ LISTED = 8
 """Missing pictures that a message lists; it counts the others."""
 
 
+class Description(msgspec.Struct):
+    """`metadata.json`: the name in tables, and those keys of `ndf_mi.methods.base` that a program can know."""
+
+    label: str | None = None
+    seconds: float | None = None
+    steps: int | None = None
+    converged: bool | None = None
+    history: list[tuple[int, float, float]] | None = None
+    note: str | None = None
+
+
 class Images:
     """A folder of pictures. It renders the views that it has a picture of, and trains nothing.
 
-    `metadata.json` may hold the keys that `ndf_mi.methods.base` lists, such as `seconds` (of training) and
-    `note`, others for the report, and `label`, the name in tables; without it the label is the folder's name.
+    `metadata.json` may hold the members of `Description`, and others for the report. Without a label there,
+    the label is the folder's name.
     """
 
     key, label = "images", "Images"
@@ -52,13 +63,14 @@ class Images:
 
         Raises:
             InputError: there is no such folder or no picture in it, a frame has two pictures, a picture has
-                the wrong size or is no PNG, or `metadata.json` is not a JSON object.
+                the wrong size or is no PNG, or `metadata.json` is no JSON object or has an entry of the wrong
+                kind.
         """
         self._folder, self._capture = Path(folder), capture
         if not self._folder.is_dir():
             raise InputError(self._folder, "no such folder", "a folder with pictures as CAMERA/FRAME.png")
         self._metadata = _read_metadata(self._folder / METADATA)
-        self.label = str(self._metadata.pop("label", self._folder.resolve().name))
+        self.label = self._metadata.pop("label", None) or self._folder.resolve().name
         views = dict.fromkeys(view for split in capture.splits.values() for view in split)
         self._files = {view: file for view in views if (file := self._find(*view)) is not None}
         if not self._files:
@@ -113,9 +125,11 @@ def _read_metadata(file: Path) -> dict[str, Any]:
     if not file.exists():
         return {}
     try:
-        return msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
+        known = msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
+        msgspec.convert(known, Description)
     except (OSError, msgspec.MsgspecError) as error:
-        raise InputError(file, str(error), "a JSON object") from None
+        raise InputError(file, str(error), "a JSON object with label, seconds, steps, history and note") from None
+    return known
 
 
 def _check_picture(file: Path, camera: Camera) -> None:

@@ -148,9 +148,10 @@ def test_label_and_metadata_come_from_the_folder(folder, capture):
         and method.metadata()["seconds"] == 12.5
         and method.metadata()["note"] == "By splats 1.2."
     )
-    (folder / "metadata.json").write_text("[1]")
-    with pytest.raises(InputError, match="metadata.json"):
-        loaded(folder, capture)
+    for wrong in ("[1]", '{"seconds": "long"}', '{"label": 3}', "{"):
+        (folder / "metadata.json").write_text(wrong)
+        with pytest.raises(InputError, match="metadata.json"):
+            loaded(folder, capture)
 
 
 def test_its_cache_key_follows_the_contents(folder, capture):
