@@ -19,7 +19,7 @@ from ndf_mi.run import Run
 def training_unit(
     name: str, label: str, folder: Path, capture: Capture, preset: Preset, options: TrainingOptions
 ) -> Unit[Trained]:
-    """A unit that trains the run in a folder to its end; a training that was stopped goes on."""
+    """A unit that trains the run in a folder to its end; a stopped training continues."""
 
     def work() -> Trained:
         run = trained(folder, capture, preset, options)
@@ -38,8 +38,8 @@ def is_trained(folder: Path) -> bool:
 
 
 def trained(folder: Path, capture: Capture, preset: Preset, options: TrainingOptions) -> Run:
-    """The run in a folder, trained to its end: a finished one is loaded, a stopped one goes on, a missing one
-    is started.
+    """The run in a folder, trained to its end. A finished run is loaded, a stopped one continues, and a
+    missing one is started.
 
     Raises:
         KeyboardInterrupt: stopped by a signal; the next call continues.

@@ -254,8 +254,8 @@ class TradeStudy:
         return [Point(v.key, v.axis, v.label, setting, v.key) for v in variants]
 
     def _load_trained(self, variant: Variant) -> bool:
-        """Loads a variant that an earlier call trained to its end; whether there is one. Its options are
-        those asked for now, of which the length only counts if this call trains."""
+        """Loads a variant that an earlier call trained to its end, with the options asked for now, and returns
+        whether there is one. The length of the training must only agree if this call trains too."""
         place, options = self._place(variant), variant.options
         try:
             if not is_trained(place):
