@@ -57,8 +57,7 @@ def log1p(x: T) -> T:
 
 
 def softplus(x: T) -> T:
-    """ln(1 + eˣ), finite and accurate for any x. First derivatives only: the logistic function, ½ at 0, where max
-    and |·| have none."""
+    """ln(1 + eˣ), finite and accurate for any x. First derivatives only: the logistic function, ½ at 0."""
     detached = dr.detach(x)
     value = dr.maximum(detached, 0.0) + log1p(dr.exp(-dr.abs(detached)))
     logistic = dr.select(detached < 0, dr.exp(-dr.abs(detached)), 1.0) / (1.0 + dr.exp(-dr.abs(detached)))

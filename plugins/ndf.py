@@ -274,7 +274,7 @@ def register() -> None:
             )
 
     class NDFLayer(Part):
-        """The field of an ``ndf`` medium between two nested shells, with its own majorant; made by ``ndf_shell``."""
+        """The field of an ``ndf`` medium between two nested shells, made by ``ndf_shell``."""
 
         def __init__(self, field: NDFMedium, index: int) -> None:
             props = mi.Properties("ndf")

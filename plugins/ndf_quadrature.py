@@ -38,7 +38,7 @@ def register() -> None:
         --------------------------------------------------------------------------------
 
         Renders the scene's ``ndf`` medium by the paper's equation, L = Σ T_i (1 − exp(−σ_i δ_i)) c_i, and the
-        scene's environment emitter behind it. By default nothing is random but the positions of rays in pixels.
+        scene's environment emitter behind it. By default only the rays' positions in pixels are random.
 
         .. pluginparameters::
 

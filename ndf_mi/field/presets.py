@@ -138,7 +138,8 @@ class Preset:
             elif isinstance(value, float):
                 yield key, abs(value) < float("inf"), "a number"
             elif isinstance(value, tuple):
-                yield key, all(type(width) is int and width > 0 for width in value), "a list of widths above 0"
+                good = all(type(width) is int and width > 0 for width in value)
+                yield key, good, "a list of widths above 0"
         for key in ("band", "density_limit", "density_gain", "grid_l_scale"):
             yield key, getattr(self, key) > 0, "a number above 0"
         for key, least in (("deformation_octaves", 0), ("octaves", 0), ("feature_width", 0),
@@ -194,8 +195,8 @@ PRESETS: dict[str, Preset] = {
         name="paper", pose_layers=(256, 128), deformation_layers=(128,), deformation_octaves=10,
         deformation_scale=0.001, encoding="frequency", octaves=10, density_layers=(256,) * 7, density_skip=5,
         feature_width=0, colour_linear=(256, 256), colour_layers=(128,), direction_octaves=4,
-        density_activation="relu", density_gain=1.0, density_bias=0.0, density_limit=10000.0, band_inside=0.08,
-        band_fade=0.0),
+        density_activation="relu", density_gain=1.0, density_bias=0.0, density_limit=10000.0,
+        band_inside=0.08, band_fade=0.0),
 }
 
 

@@ -19,7 +19,7 @@ class Located:
         uv: texture coordinates of the closest point.
         l: signed distance in metres.
         normal: unit surface normal at the closest point.
-        barycentric: weights of the triangle's corners at the closest point; 0 where the field does not use them.
+        barycentric: weights of the triangle's corners at the closest point; 0 if not used.
         valid: whether the field is to be evaluated here.
         weight: number of samples that this one stands for, where others were left out at random.
     """

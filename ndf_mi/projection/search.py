@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 WORDS = 8
-"""Words of an internal node: three words of (upper bound << 16) | lower bound, one an axis, for each of its two
+"""Words of an internal node: three words of (upper bound << 16) | lower bound, one an axis, for each of two
 children. Two stay empty, as aligned words are read four at a time."""
 
 

@@ -1,4 +1,4 @@
-"""One vertex of a path on a surface, as in Mitsuba's `path`: emission, a sampled emitter, and a sampled direction."""
+"""One vertex of a path on a surface, as in Mitsuba's `path`: emission, sampled emitter, sampled direction."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ class Origin:
     @classmethod
     def camera(cls, width: int) -> Origin:
         """The origin of camera rays, which no emitter is sampled from."""
-        return cls(dr.zeros(mi.Interaction3f, width), dr.full(mi.Float, 1.0, width), dr.full(mi.Bool, True, width))
+        return cls(
+            dr.zeros(mi.Interaction3f, width), dr.full(mi.Float, 1.0, width), dr.full(mi.Bool, True, width)
+        )
 
 
 @dataclass
@@ -36,7 +38,7 @@ class Vertex:
 
     Attributes:
         emitted: radiance of the emitter met, weighted against sampling it from the ray's origin.
-        lit: radiance of a sampled emitter that is scattered back along the path, weighted, too; 0 if occluded.
+        lit: radiance of a sampled emitter that is scattered back along the path, weighted; 0 if occluded.
         shadow: the segment to that emitter.
         onward: the path's next ray.
         weight: throughput of the next ray.
@@ -90,8 +92,8 @@ def sample_vertex(
     sampled &= dr.any(lit != 0.0)
     shadow = si.spawn_ray_to(ds.p)
     lit = dr.select(sampled & ~occluded(scene, shadow, sampled), lit, 0.0)
-    # The point of an emitter at infinity lies behind all shapes, but a performer may extend beyond the shape that
-    # carries it.
+    # The point of an emitter at infinity lies behind all shapes, but a performer may extend beyond the shape
+    # that carries it.
     shadow.maxt = dr.select(mi.has_flag(ds.emitter.flags(), mi.EmitterFlags.Infinite), dr.inf, shadow.maxt)
 
     point = dr.zeros(mi.Interaction3f, dr.width(ray.d))
