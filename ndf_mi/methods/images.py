@@ -34,7 +34,7 @@ LISTED = 8
 
 
 class Description(msgspec.Struct):
-    """`metadata.json`: the name in tables, and those keys of `ndf_mi.methods.base` that a program can know."""
+    """`metadata.json`: the name in tables, and keys that `ndf_mi.methods.base` lists."""
 
     label: str | None = None
     seconds: float | None = None
@@ -128,7 +128,8 @@ def _read_metadata(file: Path) -> dict[str, Any]:
         known = msgspec.json.decode(file.read_bytes(), type=dict[str, Any])
         msgspec.convert(known, Description)
     except (OSError, msgspec.MsgspecError) as error:
-        raise InputError(file, str(error), "a JSON object with label, seconds, steps, history and note") from None
+        raise InputError(file, str(error),
+                         'a JSON object, such as {"label": "Splats", "seconds": 600}') from None
     return known
 
 
