@@ -39,8 +39,8 @@ class Occupancy:
         dr.make_opaque(self.values)
 
     def keep(self, u: mi.Point3f) -> tuple[mi.Bool, mi.Float]:
-        """Which points of the unit cube to evaluate (all in occupied cells, a random few of the others), and how
-        many points each stands for: 1 in occupied cells, 1 / `explore` in the others."""
+        """Which points of the unit cube to evaluate (all in occupied cells, a random few of the others), and
+        how many points each stands for: 1 in occupied cells, 1 / `explore` in the others."""
         with dr.suspend_grad():
             occupied = dr.gather(mi.Float, self.values, self._cell(u)) > self._threshold
             # The default of four rounds keeps 3 % too many of neighbouring numbers.

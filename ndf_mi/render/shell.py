@@ -82,10 +82,10 @@ class Distances:
     def band_cells(self, band: float, inside: float) -> np.ndarray:
         """The cells that the band −`inside` <= l <= `band` can touch, (nx, ny, nz) bool.
 
-        |l| changes by at most the distance between two points. A part of a cell, whose corners are r away from
-        its centre, therefore holds no point of the band if |l| > `band` + r there; nor if l < −(`inside` + r),
-        provided that l keeps its sign in it. At that depth the sign changes only where the body intersects
-        itself, so a part next to one outside the body does not count as inside.
+        |l| changes by at most the distance between two points. A part of a cell, whose corners are r away
+        from its centre, therefore holds no point of the band if |l| > `band` + r there; nor if
+        l < −(`inside` + r), provided that l keeps its sign in it. At that depth the sign changes only where
+        the body intersects itself, so a part next to one outside the body does not count as inside.
         """
         r = 0.5 * math.sqrt(3.0) * self.grid.cell / PARTS
         l = self.distance
