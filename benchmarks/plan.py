@@ -49,8 +49,7 @@ import drjit as dr  # noqa: E402
 
 from ndf_mi import machine  # noqa: E402
 from ndf_mi.capture.capture import Capture  # noqa: E402
-from ndf_mi.capture.synthesise.look import Look  # noqa: E402
-from ndf_mi.capture.synthesise.plan import SIZES  # noqa: E402
+from ndf_mi.capture.synthesise.plan import SIZES, Look  # noqa: E402
 from ndf_mi.capture.synthesise.synthesise import synthesise  # noqa: E402
 from ndf_mi.errors import InputError  # noqa: E402
 from ndf_mi.experiments import metrics  # noqa: E402

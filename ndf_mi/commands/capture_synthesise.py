@@ -78,7 +78,7 @@ class CaptureSynthesise:
             given["pose_cameras"] = min(settings.pose_cameras, self.cameras - train or self.cameras)
         settings = replace(settings, **given)
         variants.use()
-        from ndf_mi.capture.synthesise.look import Look
+        from ndf_mi.capture.synthesise.plan import Look
         from ndf_mi.capture.synthesise.synthesise import synthesise
 
         bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),

@@ -25,8 +25,8 @@ from ndf_mi.body.poses import Poses
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.check import problems
 from ndf_mi.capture.synthesise import plan
-from ndf_mi.capture.synthesise.look import Look
 from ndf_mi.capture.synthesise.performer import Performer
+from ndf_mi.capture.synthesise.plan import Look
 from ndf_mi.capture.synthesise.ring import camera_ring
 from ndf_mi.capture.synthesise.studio import Studio
 from ndf_mi.capture.synthesise.synthesise import synthesise

@@ -14,13 +14,7 @@ _SCALP, _FRINGE, _TIPS = -0.02, 0.034, -0.095
 
 
 def make_hair(naked: Sheet, eyes: np.ndarray, head: int) -> Layer:
-    """The hair on a body at rest.
-
-    Args:
-        naked: the body.
-        eyes: (2, 3) centres of the eyeballs.
-        head: index of the joint that carries the hair.
-    """
+    """The hair on the body ``naked``, with eyes at (2, 3) ``eyes``, carried by the joint of index ``head``."""
     middle = eyes.mean(axis=0)
     crown = middle + [0, 0.03, -0.085]
     skull = naked.rest[(naked.rest[:, 1] > middle[1] + _SCALP) & (np.abs(naked.rest[:, 0]) < 0.15)]
@@ -50,9 +44,7 @@ def make_hair(naked: Sheet, eyes: np.ndarray, head: int) -> Layer:
     sheet = Sheet(grown, np.zeros((len(rest), 1)), sheet.uv, sheet.faces).clipped(height - end)
     weights = np.zeros((len(sheet.rest), naked.weights.shape[1]))
     weights[:, head] = 1
-    colour = paint.hair(sheet.rest, crown)
-    return Layer("hair", "hair", sheet.faces, sheet.rest, weights, colour, np.zeros(len(sheet.rest)), None,
-                 None)
+    return Layer("hair", "hair", sheet.faces, sheet.rest, weights, paint.hair(sheet.rest, crown))
 
 
 def _grid_faces(rows: int, columns: int) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from ndf_mi.body.anny import Garment
 from ndf_mi.body.body import Body
@@ -24,9 +25,9 @@ class Layer:
         rest: (N, 3) metres, including the distance from the body.
         weights: (N, J) skinning weights.
         colour: (N, 3) linear reflectance in [0, 1].
-        slack: (N,) metres by which the layer sinks where it hangs from a limb that is not vertical.
-        folds: its wrinkles, displacements along the normal, or None.
         clearance: least distance of every vertex from the body, metres; None if it may touch the body.
+        slack: (N,) metres by which folding cloth sinks where it hangs from a limb that is not vertical.
+        folds: its wrinkles, displacements along the normal, or None.
     """
 
     name: str
@@ -35,9 +36,9 @@ class Layer:
     rest: np.ndarray
     weights: np.ndarray
     colour: np.ndarray
-    slack: np.ndarray
-    folds: Folds | None
-    clearance: float | None
+    clearance: float | None = None
+    slack: np.ndarray | float = 0.0
+    folds: Folds | None = None
 
 
 @dataclass(frozen=True)
@@ -62,13 +63,17 @@ class Sheet:
     def normals(self) -> np.ndarray:
         return vertex_normals(self.rest, self.faces)
 
-    def subdivided(self) -> Sheet:
-        matrix, faces = loop_subdivision(self.faces, len(self.rest))
-        return Sheet(matrix @ self.rest, matrix @ self.weights, matrix @ self.uv, faces)
+    def subdivided(self, times: int = 1) -> Sheet:
+        sheet = self
+        for _ in range(times):
+            sheet = sheet._mapped(*loop_subdivision(sheet.faces, len(sheet.rest)))
+        return sheet
 
     def clipped(self, values: np.ndarray) -> Sheet:
         """The part where ``values``, (N,), are positive."""
-        matrix, faces = clip(self.faces, values)
+        return self._mapped(*clip(self.faces, values))
+
+    def _mapped(self, matrix: csr_matrix, faces: np.ndarray) -> Sheet:
         return Sheet(matrix @ self.rest, matrix @ self.weights, matrix @ self.uv, faces)
 
     def eased(self, positions: int, weights: int) -> Sheet:
@@ -80,6 +85,10 @@ class Sheet:
         for _ in range(weights):
             blend = mean @ blend
         return Sheet(rest, blend, self.uv, self.faces)
+
+    def layer(self, name: str, material: str, colour: np.ndarray, clearance: float | None = None) -> Layer:
+        """The surface as a layer that does not fold."""
+        return Layer(name, material, self.faces, self.rest, self.weights, colour, clearance)
 
 
 class Frame:

@@ -47,6 +47,7 @@ class Light:
 
 
 DEFAULT = "studio"
+_BLACK = (0.0, 0.0, 0.0)
 
 _STUDIO = Light(
     (0.58, 0.62, 0.68), (0.05, 0.10, 0.20), (0.36, 0.33, 0.29),
@@ -61,7 +62,7 @@ _STUDIO = Light(
 LIGHTS = {
     DEFAULT: _STUDIO,
     "carried": replace(_STUDIO, carried=True),
-    "flat": Light((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (), flat=True),
+    "flat": Light(_BLACK, _BLACK, _BLACK, (), flat=True),
     "evening": Light(
         (0.13, 0.16, 0.24), (0.02, 0.05, 0.12), (0.07, 0.06, 0.06),
         (
@@ -73,11 +74,7 @@ LIGHTS = {
 
 
 def light(name: str) -> Light:
-    """The light of that name.
-
-    Raises:
-        InputError: no such light; the message lists the existing ones.
-    """
+    """The light of that name; raises InputError, which lists the existing ones, if there is none."""
     if name not in LIGHTS:
         raise InputError("--light", repr(name), f"one of {', '.join(LIGHTS)}")
     return LIGHTS[name]
@@ -118,21 +115,23 @@ def write(folder: Path, name: str = DEFAULT) -> str:
     return SCENE
 
 
-def _glossy(roughness: float, specular: float, twosided: bool) -> dict[str, Any]:
-    bsdf = {"type": "principled", "base_color": {"type": "mesh_attribute", "name": "vertex_color"},
-            "roughness": roughness, "specular": specular}
-    return {"type": "twosided", "bsdf": bsdf} if twosided else bsdf
+_COLOUR = {"type": "mesh_attribute", "name": "vertex_color"}
+
+
+def _glossy(roughness: float, specular: float) -> dict[str, Any]:
+    return {"type": "principled", "base_color": _COLOUR, "roughness": roughness, "specular": specular}
+
+
+def _twosided(bsdf: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "twosided", "bsdf": bsdf}
 
 
 #: BSDFs by material, coloured by the mesh attribute ``vertex_color``. Open surfaces have two sides.
 MATERIALS: dict[str, dict[str, Any]] = {
-    "cloth": {
-        "type": "twosided",
-        "bsdf": {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}},
-    },
-    "leather": _glossy(0.45, 0.5, twosided=True),
-    "skin": _glossy(0.5, 0.4, twosided=True),
-    "hair": _glossy(0.4, 0.5, twosided=True),
-    "eye": _glossy(0.15, 0.5, twosided=False),
-    "glossy": _glossy(0.3, 0.8, twosided=True),
+    "cloth": _twosided({"type": "diffuse", "reflectance": _COLOUR}),
+    "leather": _twosided(_glossy(0.45, 0.5)),
+    "skin": _twosided(_glossy(0.5, 0.4)),
+    "hair": _twosided(_glossy(0.4, 0.5)),
+    "eye": _glossy(0.15, 0.5),
+    "glossy": _twosided(_glossy(0.3, 0.8)),
 }

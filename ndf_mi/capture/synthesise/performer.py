@@ -11,25 +11,18 @@ from ndf_mi.body.body import Body
 from ndf_mi.body.mesh import vertex_normals
 from ndf_mi.body.skinning import SkinnedVertices, joint_transforms
 from ndf_mi.capture.synthesise.layers import Layer
-from ndf_mi.capture.synthesise.look import Look
+from ndf_mi.capture.synthesise.plan import Look
 from ndf_mi.capture.synthesise.surface import averaging
 from ndf_mi.capture.synthesise.wardrobe import dress
-from ndf_mi.capture.synthesise.wrinkles import Folds
 
 #: Largest distance in metres by which a cloth vertex moves out of the body at once.
 _MOST_PUSH = 0.05
 
 
 class Performer:
-    """A body with the layers that it wears.
-
-    Args:
-        body: Anny's body.
-        shape: (B,) shape coefficients.
-        look: its clothes and materials.
+    """Anny's ``body``, with shape coefficients ``shape``, (B,), and the layers that it wears.
 
     Attributes:
-        body, shape: as given.
         layers: all visible surfaces; the naked body is not one of them.
     """
 
@@ -58,20 +51,15 @@ class Performer:
         for layer, skinned, mean in zip(self.layers, self._skinned, self._mean, strict=True):
             vertices = np.array(skinned.apply(transforms), dtype=np.float64).reshape(-1, 3)
             if layer.folds is not None:
-                vertices = _drape(layer, layer.folds, vertices, by_name, down)
+                normals = vertex_normals(vertices, layer.faces)
+                # Cloth on or below a limb hangs, then folds.
+                hang = layer.slack * (normals @ down) ** 2
+                fold = layer.folds.displacement(by_name)
+                vertices = vertices + hang[:, None] * down + fold[:, None] * normals
             if layer.clearance is not None:
                 vertices = keep_out(vertices, layer.clearance, mean)
             posed.append(vertices.astype(np.float32))
         return posed
-
-
-def _drape(
-    layer: Layer, folds: Folds, vertices: np.ndarray, pose: dict[str, np.ndarray], down: np.ndarray
-) -> np.ndarray:
-    """Lowers cloth on or below a limb along gravity's unit vector ``down``, then folds it."""
-    normals = vertex_normals(vertices, layer.faces)
-    hang = layer.slack * (normals @ down) ** 2
-    return vertices + hang[:, None] * down + folds.displacement(pose)[:, None] * normals
 
 
 class _Outside:

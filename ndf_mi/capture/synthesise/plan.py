@@ -1,9 +1,10 @@
-"""The settings of a synthetic capture: sizes, motion and splits."""
+"""The settings of a synthetic capture: the performer's look and motion, sizes and splits."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -75,6 +76,43 @@ class Settings:
                                  f"a whole number from {low} to {high}")
 
 
+CHOICES = {
+    "motion": ("clips", "turn", "still"),
+    "clothes": ("loose", "tight"),
+    "surface": ("mixed", "matte", "glossy"),
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """The choices that make a performer easier or harder to model; the defaults make the standard one.
+
+    Attributes:
+        motion: in the training frames. `clips`: walking and climbing; `turn`: one pose that turns once around
+            the vertical; `still`: one pose.
+        clothes: `loose` clothes are centimetres away from the body; `tight` ones are within 12 mm, without
+            hair.
+        folds: whether cloth folds with the pose.
+        surface: `mixed`: diffuse cloth with glossy skin, hair and shoes; `matte`: everything is diffuse;
+            `glossy`: everything is glossy.
+    """
+
+    motion: str = "clips"
+    clothes: str = "loose"
+    folds: bool = True
+    surface: str = "mixed"
+
+    def __post_init__(self) -> None:
+        """Raises InputError at the first unknown choice."""
+        for name, known in CHOICES.items():
+            if getattr(self, name) not in known:
+                raise InputError(f"--{name}", repr(getattr(self, name)), f"one of {', '.join(known)}")
+
+    def changes(self) -> dict[str, Any]:
+        """The choices that differ from the default, by name."""
+        return {name: value for name, value in vars(self).items() if value != getattr(type(self), name)}
+
+
 SIZES = {
     "tiny": Settings(48, 16, 5, 2, 3, 1, 1, 2, 2),
     "lit": Settings(96, 256, 8, 4, 3, 2, 2, 2),
@@ -89,18 +127,15 @@ def splits(settings: Settings, names: list[str]) -> dict[str, Split]:
     train = evenly(names, settings.train_cameras)
     others = tuple(name for name in names if name not in train)
     frames = tuple(range(settings.frames))
-    viewed = tuple(int(f) for f in _spread(settings.frames, settings.view_frames))
+    spread = (np.arange(settings.view_frames) + 0.5) / max(settings.view_frames, 1) * settings.frames
+    viewed = tuple(int(frame) for frame in spread)
     posed = tuple(range(settings.frames, settings.frames + settings.pose_frames))
     start = settings.frames + settings.pose_frames
     sequence = tuple(range(start, start + settings.sequence_frames))
-    posing = evenly(list(others or train), settings.pose_cameras)
-    nothing = Split()
-    return {
-        "train": Split(train, frames),
-        "novel_view": Split(others, viewed) if others and viewed else nothing,
-        "novel_pose": Split(posing, posed) if posed else nothing,
-        "sequence": Split(posing[:1], sequence) if sequence else nothing,
-    }
+    posing = evenly(others or train, settings.pose_cameras)
+    chosen = {"train": (train, frames), "novel_view": (others, viewed), "novel_pose": (posing, posed),
+              "sequence": (posing[:1], sequence)}
+    return {name: Split(*both) if all(both) else Split() for name, both in chosen.items()}
 
 
 def shape_of(body: Body) -> np.ndarray:
@@ -114,8 +149,7 @@ def motion(body: Body, settings: Settings, kind: str = "clips") -> Poses:
     In every frame the lowest point is at height 0 and the hips are over the origin.
 
     Args:
-        kind: motion of the training frames, as in :class:`ndf_mi.capture.synthesise.look.Look`; all but
-            `clips` keep the pose of the first frame.
+        kind: motion of the training frames, as in `Look`; all but `clips` keep the pose of the first frame.
     """
     first = settings.frames - settings.frames // 2
     counts = [(TRAINING_CLIPS[0], first), (TRAINING_CLIPS[1], settings.frames - first),
@@ -168,8 +202,3 @@ def _held(poses: Poses, angles: np.ndarray) -> Poses:
 def _times(clip: Clip, count: int) -> np.ndarray:
     """``count`` frames of a clip at 30 Hz, in the middles of equal intervals."""
     return np.round((np.arange(count) + 0.5) / count * int(clip.duration * 30)).astype(int)
-
-
-def _spread(count: int, chosen: int) -> np.ndarray:
-    """``chosen`` whole numbers below ``count``, in the middles of equal intervals."""
-    return np.floor((np.arange(chosen) + 0.5) / max(chosen, 1) * count).astype(int)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from ndf_mi.capture.camera import Camera, look_at
@@ -18,13 +21,12 @@ def camera_ring(count: int, pixels: int, vertices: np.ndarray, seed: int) -> dic
     """``count`` cameras, evenly around the y axis, that always see the whole performer.
 
     Heights, distances and aims vary a little with ``seed``. Each camera has the largest focal length at which
-    the clothed body stays in the image.
-
-    Args:
-        vertices: (T, V, 3) the posed bodies, metres.
+    the clothed body, around its posed ``vertices``, (T, V, 3) metres, stays in the image.
     """
     random = np.random.default_rng(seed)
-    points = _outline(vertices)
+    # Some vertices, moved by the thickness of clothes.
+    shifts = np.concatenate([np.eye(3), -np.eye(3)]) * _CLOTHES
+    points = (vertices[:, ::16].reshape(-1, 1, 3) + shifts).reshape(-1, 3)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     cameras = {}
     for i in range(count):
@@ -37,19 +39,10 @@ def camera_ring(count: int, pixels: int, vertices: np.ndarray, seed: int) -> dic
                         look_at(position, target))
         reach = np.abs(camera.project(points) - pixels / 2).max()
         focal = pixels * (0.5 - _FREE) / reach
-        cameras[camera.name] = Camera(
-            camera.name, pixels, pixels, focal, focal, pixels / 2, pixels / 2, camera.transform
-        )
+        cameras[camera.name] = replace(camera, fl_x=focal, fl_y=focal)
     return cameras
 
 
-def evenly(names: list[str], count: int) -> tuple[str, ...]:
+def evenly(names: Sequence[str], count: int) -> tuple[str, ...]:
     """``count`` of ``names``, evenly spaced, from the first on."""
     return tuple(names[round(i * len(names) / count)] for i in range(count))
-
-
-def _outline(vertices: np.ndarray) -> np.ndarray:
-    """Points that bound the clothed bodies: some vertices, moved by the thickness of clothes."""
-    thin = vertices[:, ::16].reshape(-1, 3)
-    shifts = np.concatenate([np.eye(3), -np.eye(3)]) * _CLOTHES
-    return (thin[:, None] + shifts).reshape(-1, 3)

@@ -18,33 +18,24 @@ _MAX_DEPTH = 3
 
 
 class Studio:
-    """The scene: a light and the performer's layers.
+    """The scene: a light, by its name, and the performer's layers, of which only the vertices change.
 
-    Args:
-        layers: the surfaces; their faces, colours and materials do not change.
-        spp: samples per pixel, rounded up to a number that Mitsuba's ``multijitter`` sampler can stratify.
-        light: name of the light.
-
-    Attributes:
-        scene, integrator: Mitsuba's, as they render.
+    ``spp``, samples per pixel, is rounded up to a number that Mitsuba's ``multijitter`` sampler can stratify.
+    ``scene`` and ``integrator`` are Mitsuba's, as they render.
     """
 
     def __init__(self, layers: Sequence[Layer], spp: int, light: str = lighting.DEFAULT) -> None:
         self._light = lighting.light(light)
-        scene: dict = {"type": "scene"}
-        if not self._light.flat:
-            scene["light"] = lighting.emitter(light)
-        self._names = []
-        for i, layer in enumerate(layers):
-            name = f"layer{i}"
-            scene[name] = _mesh(name, layer, self._light.flat)
-            self._names.append(name)
+        self._meshes = {f"layer{i}": layer.faces for i, layer in enumerate(layers)}
+        scene: dict = {"type": "scene"} if self._light.flat else {"type": "scene",
+                                                                   "light": lighting.emitter(light)}
+        scene |= {name: _mesh(name, layer, self._light.flat)
+                  for name, layer in zip(self._meshes, layers, strict=True)}
         self.scene = mi.load_dict(scene)
         self._parameters = mi.traverse(self.scene)
         self.integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH,
                                          "hide_emitters": not self._light.flat})
         self._sampler = mi.load_dict({"type": "multijitter", "sample_count": spp})
-        self._faces = [layer.faces for layer in layers]
         self._points = np.empty((0, 3))
         self._edge = 0.0
 
@@ -53,19 +44,17 @@ class Studio:
         if self._light.carried:
             turn = mi.Transform4f().rotate([0, 1, 0], float(np.degrees(heading)))
             self._parameters["light.to_world"] = turn
-        for name, vertices in zip(self._names, layers, strict=True):
+        for name, vertices in zip(self._meshes, layers, strict=True):
             set_vertices(self._parameters, vertices, name)
         self._parameters.update()
         self._points = np.concatenate(list(layers))
-        self._edge = max(map(_longest_edge, layers, self._faces))
+        corners = [points[faces] for points, faces in zip(layers, self._meshes.values(), strict=True)]
+        edges = (((c - np.roll(c, 1, axis=1)) ** 2).sum(axis=-1).max() for c in corners)
+        self._edge = float(np.sqrt(max(edges)))
 
     def render(self, camera: Camera, seed: int) -> tuple[np.ndarray, np.ndarray]:
-        """Renders the performer with a box filter.
-
-        Returns:
-            (h, w, 3) float32 linear radiance, premultiplied by coverage, and (h, w) float32 coverage in [0,
-            1].
-        """
+        """Renders the performer with a box filter: (h, w, 3) float32 linear radiance, premultiplied by
+        coverage, and (h, w) float32 coverage in [0, 1]."""
         pixels = self._seen_pixels(camera)
         samples = self._sampler.sample_count()
         self._sampler.set_samples_per_wavefront(samples)
@@ -107,8 +96,3 @@ def _mesh(name: str, layer: Layer, flat: bool) -> mi.Mesh:
         properties["mesh_bsdf"] = mi.load_dict(lighting.MATERIALS[layer.material])
     return make_mesh(name, layer.rest, layer.faces, smooth=True, attributes={"vertex_color": layer.colour},
                      props=properties)
-
-
-def _longest_edge(vertices: np.ndarray, faces: np.ndarray) -> float:
-    corners = vertices[faces]
-    return float(np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=-1).max()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict
@@ -15,7 +15,6 @@ import numpy as np
 from ndf_mi.body.anny import load_anny
 from ndf_mi.capture.document import FILE_NAME, Document
 from ndf_mi.capture.synthesise import lighting, plan
-from ndf_mi.capture.synthesise.look import Look
 from ndf_mi.capture.synthesise.performer import Performer
 from ndf_mi.capture.synthesise.ring import camera_ring
 from ndf_mi.capture.synthesise.studio import Studio
@@ -23,6 +22,7 @@ from ndf_mi.capture.writer import CaptureWriter
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.errors import InputError
 from ndf_mi.files import write_json
+from ndf_mi.json_input import load_json
 
 #: The settings of a folder, which show whether an interrupted run can continue there.
 SETTINGS_FILE = "synthesis.json"
@@ -42,22 +42,20 @@ def synthesise(
     overwrite: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
     light: str = lighting.DEFAULT,
-    look: Look = Look(),  # noqa: B008
+    look: plan.Look = plan.Look(),  # noqa: B008
 ) -> Path:
     """Makes a capture in the folder ``out``, or continues an interrupted call with the same settings.
 
     Args:
-        out: a folder that is new, empty, or holds an unfinished capture with the same settings.
-        settings: sizes and splits.
-        name: the capture's name.
+        out: a folder that is new, empty, or holds a capture with the same settings; a finished one stays
+            unchanged.
         overwrite: replaces a capture in ``out``, but never anything else.
         progress: called with the numbers of finished and of all images, first with those that exist already.
         light: name of the light. With the same settings and name, performer, poses, cameras and masks do not
             depend on it.
-        look: the performer's clothes, materials and motion.
 
     Returns:
-        ``out``, unchanged if the same capture exists already.
+        ``out``.
 
     Raises:
         InputError: ``out`` holds something else; no such light; or the body's data are missing.
@@ -76,8 +74,9 @@ def synthesise(
     scene = lighting.SCENE if constant else None
     document = Document(name, BACKGROUND, cameras, plan.splits(settings, list(cameras)), lighting=scene)
     pairs = document.images()
-    progress(len(pairs) if (out / FILE_NAME).is_file() else 0, len(pairs))
-    if (out / FILE_NAME).is_file():
+    finished = (out / FILE_NAME).is_file()
+    progress(len(pairs) if finished else 0, len(pairs))
+    if finished:
         return out
     write_json(out / SETTINGS_FILE, made_with)
 
@@ -123,9 +122,10 @@ def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
         names = foreign or sorted(p.name for p in out.iterdir())
         raise InputError(out, f"a folder with other contents ({', '.join(names[:4])})",
                          "a new or empty folder")
-    if _same_settings(out, made_with) and not overwrite:
-        return
     if not overwrite:
+        with contextlib.suppress(OSError, ValueError):
+            if load_json(out / SETTINGS_FILE) == made_with:
+                return
         raise InputError(out, "a capture made with other settings",
                          f"a new or empty folder, or one with the same settings in {SETTINGS_FILE}",
                          "Choose another folder, or replace the capture with --overwrite.")
@@ -133,10 +133,3 @@ def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
         shutil.rmtree(out / folder, ignore_errors=True)
     for file in _OWN_FILES:
         (out / file).unlink(missing_ok=True)
-
-
-def _same_settings(out: Path, made_with: dict[str, Any]) -> bool:
-    try:
-        return bool(json.loads((out / SETTINGS_FILE).read_text(encoding="utf-8")) == made_with)
-    except (OSError, ValueError):
-        return False

