@@ -1,4 +1,4 @@
-"""Writes files atomically: next to the target, then renamed into place."""
+"""Reads text, and writes files atomically: next to the target, then renamed into place."""
 
 from __future__ import annotations
 
@@ -17,6 +17,16 @@ from ndf_mi.errors import InputError
 
 _UMASK = os.umask(0)
 os.umask(_UMASK)
+
+
+def read_lines(path: Path, expected: str) -> list[str]:
+    """The lines of a UTF-8 file; raises InputError, with what is ``expected``, if it cannot be read as text."""
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise InputError(path, "no such file", expected) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(path, f"a file that cannot be read as text ({error})", expected) from None
 
 
 @contextlib.contextmanager

@@ -57,7 +57,7 @@ class Body:
     shape_names: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        for name, value in _checked(self, "body").items():
+        for name, value in _checked(self).items():
             object.__setattr__(self, name, value)
 
     @property
@@ -100,47 +100,48 @@ class Body:
             return cls(**fields)
 
 
-def _checked(body: Body, where: str) -> dict[str, np.ndarray | tuple[str, ...]]:
+_SHAPES: dict[str, tuple[str | int, ...]] = {
+    "template": ("V", 3), "joints": ("J", 3), "weights": ("V", "J"), "shape_dirs": ("V", 3, "B"),
+    "pose_dirs": ("V", 3, "P"), "joint_dirs": ("J", 3, "B")}  # fmt: skip
+"""The shapes of the optional arrays; P is 9·(J-1)."""
+
+
+def _checked(body: Body) -> dict[str, np.ndarray | tuple[str, ...]]:
     """The fields that are given, in their types; raises InputError at the first that is wrong."""
     out: dict[str, np.ndarray | tuple[str, ...]] = {}
-    uv = out["uv"] = arrays.floats(f"{where}: uv", body.uv, (None, 2))
+    uv = out["uv"] = arrays.floats("body: uv", body.uv, (None, 2))
     if len(uv) == 0:
-        raise InputError(f"{where}: uv", "no texture coordinates", "a mesh with UVs")
+        raise InputError("body: uv", "no texture coordinates", "a mesh with UVs")
     if uv.min() < 0 or uv.max() > 1:
-        raise InputError(f"{where}: uv", f"values from {uv.min()} to {uv.max()}", "values from 0 to 1")
-    count = None if body.template is None else len(body.template)
-    limit = np.iinfo(np.int32).max if count is None else count
-    faces = out["faces"] = arrays.indices(f"{where}: faces", body.faces, (None, 3), 0, limit)
+        raise InputError("body: uv", f"values from {uv.min()} to {uv.max()}", "values from 0 to 1")
+    sizes: dict[str | int, int | None] = {3: 3}
+    for size, array in (("V", body.template), ("J", body.joints)):
+        sizes[size] = None if array is None else len(array)
+    joints = sizes["J"]
+    sizes["P"] = None if joints is None else 9 * (joints - 1)
+    limit = np.iinfo(np.int32).max if sizes["V"] is None else sizes["V"]
+    faces = out["faces"] = arrays.indices("body: faces", body.faces, (None, 3), 0, limit)
     if len(faces) == 0:
-        raise InputError(f"{where}: faces", "no triangle", "at least one")
-    out["uv_faces"] = arrays.indices(f"{where}: uv_faces", body.uv_faces, (len(faces), 3), 0, len(uv))
-    if body.template is not None:
-        out["template"] = arrays.floats(f"{where}: template", body.template, (None, 3))
-    if body.joints is not None:
-        out["joints"] = arrays.floats(f"{where}: joints", body.joints, (None, 3))
-    joints = None if body.joints is None else len(body.joints)
-    if body.joint_names is not None:
-        out["joint_names"] = _names(f"{where}: joint_names", body.joint_names, joints)
-    if body.parents is not None:
-        out["parents"] = _parents(f"{where}: parents", body.parents, joints)
+        raise InputError("body: faces", "no triangle", "at least one")
+    out["uv_faces"] = arrays.indices("body: uv_faces", body.uv_faces, (len(faces), 3), 0, len(uv))
+    for name, shape in _SHAPES.items():
+        if (array := getattr(body, name)) is not None:
+            found = out[name] = arrays.floats(f"body: {name}", array, [sizes.get(size) for size in shape])
+            if name == "shape_dirs":
+                sizes["B"] = found.shape[2]
     if body.weights is not None:
-        weights = out["weights"] = arrays.floats(f"{where}: weights", body.weights, (count, joints))
+        weights = np.asarray(out["weights"])
         off = np.abs(weights.sum(1, dtype=np.float64) - 1)
         if weights.min(initial=0) < 0 or off.max(initial=0) > 1e-3:
             worst = int(off.argmax())
-            found = f"least weight {weights.min()}, and row {worst}, which sums to {weights[worst].sum()}"
-            raise InputError(f"{where}: weights", found, "weights of 0 or more, in rows that sum to 1")
-    shapes = None
-    if body.shape_dirs is not None:
-        shapes = out["shape_dirs"] = arrays.floats(f"{where}: shape_dirs", body.shape_dirs, (count, 3, None))
-    shape_count = None if shapes is None else shapes.shape[2]
-    if body.pose_dirs is not None:
-        features = None if joints is None else 9 * (joints - 1)
-        out["pose_dirs"] = arrays.floats(f"{where}: pose_dirs", body.pose_dirs, (count, 3, features))
-    if body.joint_dirs is not None:
-        out["joint_dirs"] = arrays.floats(f"{where}: joint_dirs", body.joint_dirs, (joints, 3, shape_count))
+            wrong = f"least weight {weights.min()}, and row {worst}, which sums to {weights[worst].sum()}"
+            raise InputError("body: weights", wrong, "weights of 0 or more, in rows that sum to 1")
+    if body.joint_names is not None:
+        out["joint_names"] = _names("body: joint_names", body.joint_names, joints)
+    if body.parents is not None:
+        out["parents"] = _parents("body: parents", body.parents, joints)
     if body.shape_names is not None:
-        out["shape_names"] = _names(f"{where}: shape_names", body.shape_names, shape_count)
+        out["shape_names"] = _names("body: shape_names", body.shape_names, sizes.get("B"))
     return out
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ndf_mi.errors import InputError
+from ndf_mi.files import read_lines
 
 _CHANNELS = tuple(f"{axis}{kind}" for kind in ("position", "rotation") for axis in "XYZ")
 
@@ -94,14 +95,7 @@ def read_bvh(path: str | os.PathLike[str]) -> Clip:
     Raises:
         InputError: the file is missing or wrong; the message names the line.
     """
-    path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise InputError(path, "no such file", "a BVH file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(path, f"a file that cannot be read as text ({error})", "a BVH file") from error
-    reader = _Reader(path, lines)
+    reader = _Reader(Path(path))
     skeleton = _Skeleton()
     reader.expect("HIERARCHY")
     reader.expect("ROOT")
@@ -122,9 +116,9 @@ class _Skeleton:
 class _Reader:
     """Reads a file word by word and keeps track of the line; skips blank lines."""
 
-    def __init__(self, path: Path, lines: list[str]) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.lines = lines
+        self.lines = read_lines(path, "a BVH file")
         self.row = 0
         self.words: list[str] = []
 
@@ -147,7 +141,19 @@ class _Reader:
 
     def number(self, expected: str) -> float:
         word = self.word(expected)
-        return _number(self.where, word, expected)
+        try:
+            value = float(word)
+        except ValueError:
+            raise InputError(self.where, repr(word), expected) from None
+        if not math.isfinite(value):
+            raise InputError(self.where, word, f"{expected}, finite")
+        return value
+
+    def count(self, expected: str, low: int, high: int) -> int:
+        word = self.word(expected)
+        if not (word.isdecimal() and len(word) < 10 and low <= int(word) <= high):
+            raise InputError(self.where, repr(word), expected)
+        return int(word)
 
     def rest(self, expected: str) -> str:
         """The remaining words of this line, joined."""
@@ -155,16 +161,6 @@ class _Reader:
         text = " ".join([first, *self.words])
         self.words = []
         return text
-
-
-def _number(where: str, word: str, expected: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        raise InputError(where, repr(word), expected) from None
-    if not math.isfinite(value):
-        raise InputError(where, word, f"{expected}, finite")
-    return value
 
 
 def _read_joints(reader: _Reader, skeleton: _Skeleton) -> None:
@@ -212,10 +208,8 @@ def _read_offset(reader: _Reader) -> list[float]:
 
 
 def _read_channels(reader: _Reader) -> list[str]:
-    count = reader.word("the number of channels")
-    if not (count.isdecimal() and len(count) == 1 and int(count) <= 6):
-        raise InputError(reader.where, repr(count), "a number of channels from 0 to 6")
-    channels = [reader.word("a channel") for _ in range(int(count))]
+    count = reader.count("a number of channels from 0 to 6", 0, 6)
+    channels = [reader.word("a channel") for _ in range(count)]
     known = {c.lower(): c for c in _CHANNELS}
     for channel in channels:
         if channel.lower() not in known:
@@ -228,9 +222,7 @@ def _read_channels(reader: _Reader) -> list[str]:
 
 def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
     reader.expect("Frames:")
-    count = reader.word("the number of frames")
-    if not (count.isdecimal() and len(count) < 10 and int(count) > 0):
-        raise InputError(reader.where, repr(count), "a number of frames above 0")
+    count = reader.count("a number of frames above 0", 1, 10**9)
     reader.expect("Frame")
     reader.expect("Time:")
     frame_time = reader.number("the seconds of a frame")
@@ -240,7 +232,7 @@ def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
     labels = [f"{name} {channel}"
               for name, own in zip(skeleton.names, skeleton.channels, strict=True) for channel in own]
     values = []  # grows with the file, whatever number of frames it claims
-    for frame in range(int(count)):
+    for frame in range(count):
         words = reader.rest(f"frame {frame + 1} of {count}").split()
         if len(words) != width:
             raise InputError(reader.where, f"{len(words)} numbers", f"{width}, one for each channel")
@@ -271,12 +263,11 @@ def _decode(skeleton: _Skeleton, values: np.ndarray) -> tuple[np.ndarray, np.nda
     for joint, channels in enumerate(skeleton.channels):
         moves = [at + i for i, channel in enumerate(channels) if channel.endswith("position")]
         # Some programs write position channels for all joints, and leave them at zero.
-        unused = joint > 0 and not values[:, moves].any()
+        used = joint == 0 or values[:, moves].any()
         for channel in channels:
-            if channel.endswith("position") and unused:
-                pass
-            elif channel.endswith("position"):
-                positions[:, joint, "XYZ".index(channel[0])] = values[:, at]
+            if at in moves:
+                if used:
+                    positions[:, joint, "XYZ".index(channel[0])] = values[:, at]
             else:
                 turn = Rotation.from_euler(channel[0], values[:, at : at + 1], degrees=True).as_matrix()
                 rotations[:, joint] = rotations[:, joint] @ turn

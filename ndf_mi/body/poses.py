@@ -46,14 +46,12 @@ class Poses:
         count = len(frames)
         if count == 0 or (np.diff(frames) <= 0).any():
             raise InputError("poses: frames", frame_ranges(frames), "at least one frame, in ascending order")
-        set_ = object.__setattr__
-        set_(self, "frames", frames)
-        set_(self, "vertices", arrays.floats("poses: vertices", self.vertices, (count, None, 3)))
-        set_(self, "pose", arrays.floats("poses: pose", self.pose, (count, None, 3)))
-        set_(self, "root_rotation", arrays.floats("poses: root_rotation", self.root_rotation, (count, 3)))
-        set_(self, "translation", arrays.floats("poses: translation", self.translation, (count, 3)))
-        if self.shape is not None:
-            set_(self, "shape", arrays.floats("poses: shape", self.shape, (None,)))
+        object.__setattr__(self, "frames", frames)
+        shapes = {"vertices": (count, None, 3), "pose": (count, None, 3), "root_rotation": (count, 3),
+                  "translation": (count, 3), "shape": (None,)}
+        for name, shape in shapes.items():
+            if (array := getattr(self, name)) is not None or name != "shape":
+                object.__setattr__(self, name, arrays.floats(f"poses: {name}", array, shape))
         roots = np.abs(self.pose[:, :1]).max(initial=0)
         if roots > 1e-6:
             raise InputError("poses: pose", f"a root entry of {roots} radians",
@@ -73,22 +71,21 @@ class Poses:
             raise InputError("frame", str(frame), f"one of {frame_ranges(self.frames)}")
         return row
 
-    def check(self, body: Body, where: str = "poses") -> None:
+    def check(self, body: Body) -> None:
         """Raises InputError unless vertices, joints and shape coefficients match those of ``body``."""
-        used = int(body.faces.max()) + 1
-        have = self.vertices.shape[1]
-        if body.template is not None and have != len(body.template):
-            expected = f"{len(body.template)}, as the body's template has"
-            raise InputError(f"{where}: vertices", f"{have} vertices", expected)
-        if have < used:
-            raise InputError(f"{where}: vertices", f"{have} vertices",
+        used, vertices, joints = int(body.faces.max()) + 1, self.vertices.shape[1], self.pose.shape[1]
+        shapes = 0 if self.shape is None else len(self.shape)
+        if body.template is not None and vertices != len(body.template):
+            raise InputError("poses: vertices", f"{vertices} vertices",
+                             f"{len(body.template)}, as the body's template has")
+        if vertices < used:
+            raise InputError("poses: vertices", f"{vertices} vertices",
                              f"at least {used}, which the body's faces use")
-        if body.joints is not None and self.pose.shape[1] != body.joint_count:
-            raise InputError(f"{where}: pose", f"{self.pose.shape[1]} joints",
-                             f"{body.joint_count}, as the body has")
-        if self.shape is not None and body.shape_dirs is not None and len(self.shape) != body.shape_count:
-            expected = f"{body.shape_count}, as the body has"
-            raise InputError(f"{where}: shape", f"{len(self.shape)} coefficients", expected)
+        if body.joints is not None and joints != body.joint_count:
+            raise InputError("poses: pose", f"{joints} joints", f"{body.joint_count}, as the body has")
+        if self.shape is not None and body.shape_dirs is not None and shapes != body.shape_count:
+            raise InputError("poses: shape", f"{shapes} coefficients",
+                             f"{body.shape_count}, as the body has")
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Writes ``poses.npz`` atomically."""

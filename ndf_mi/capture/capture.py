@@ -21,13 +21,10 @@ class Capture:
     """A multi-view capture on disk. Images are read on demand, and undistorted.
 
     Attributes:
-        path: the folder.
-        name: the capture's name.
         background: (3,) float32 sRGB of the pixels outside the masks.
         cameras: pinhole cameras by name. Images and masks of cameras with distortion are resampled to them.
         splits: ``train``, ``novel_view``, ``novel_pose`` and ``sequence``; those that the file lacks are
             empty.
-        imported: what it was imported from, or None.
         body, poses: the fitted body.
         lighting: the Mitsuba scene file of the light, or None if the light is not known.
         digest: SHA-256 of the description, body and poses, and of the names and sizes of images and masks.
@@ -71,9 +68,7 @@ class Capture:
             InputError: no such camera or frame; or the file is missing, truncated, or of another size or
                 mode.
         """
-        raw = self._camera(camera)
-        pattern, frame = self._document.image_pattern, self._frame(camera, frame)
-        file = self.path / pattern.format(camera=camera, frame=frame)
+        raw, file, _ = self._found(camera, frame)
         image = read_image(file, (raw.w, raw.h))
         return image if raw.is_pinhole else undistort_image(image, raw, self.background)
 
@@ -83,8 +78,7 @@ class Capture:
         Raises:
             InputError: as ``image``; or the mask is empty or holds values other than 0 and 255.
         """
-        raw = self._camera(camera)
-        file = self.path / self._document.mask_pattern.format(camera=camera, frame=self._frame(camera, frame))
+        raw, _, file = self._found(camera, frame)
         mask = read_mask(file, (raw.w, raw.h))
         return mask if raw.is_pinhole else undistort_mask(mask, raw)
 
@@ -99,41 +93,33 @@ class Capture:
                              'the Mitsuba scene of the light in the capture\'s folder, {"scene": "FILE.xml"}')
         return self.lighting
 
-    def _camera(self, name: str) -> Camera:
-        camera = self._document.cameras.get(name)
-        if camera is None:
-            raise InputError(self.path / FILE_NAME, f"no camera {name}", f"one of {', '.join(self.cameras)}")
-        return camera
-
-    def _frame(self, camera: str, frame: int) -> int:
+    def _found(self, camera: str, frame: int) -> tuple[Camera, Path, Path]:
+        """The camera as calibrated, the image's and the mask's file; raises InputError if there is none."""
+        if camera not in self.cameras:
+            raise InputError(self.path / FILE_NAME, f"no camera {camera}",
+                             f"one of {', '.join(self.cameras)}")
         splits = [split for split in self.splits.values() if camera in split.cameras]
         if not any(frame in split.frames for split in splits):
             known = sorted({f for split in splits for f in split.frames})
             raise InputError(self.path / FILE_NAME, f"no frame {frame} of camera {camera} in any split",
                              f"one of {frame_ranges(known)}" if known else "a camera of a split")
-        return frame
+        return self._document.cameras[camera], *self._document.files(self.path, camera, frame)
 
 
 def image_files(folder: Path, document: Document) -> Iterator[Path]:
     """The image and mask files of every (camera, frame) of the splits, sorted."""
     for camera, frame in document.images():
-        for pattern in (document.image_pattern, document.mask_pattern):
-            yield folder / pattern.format(camera=camera, frame=frame)
+        yield from document.files(folder, camera, frame)
 
 
 def frame_issues(folder: Path, document: Document, poses: Poses) -> list[InputError]:
     """One issue for each split with frames that ``poses.npz`` lacks."""
     there = {int(frame) for frame in poses.frames}
     missing = {name: sorted(set(split.frames) - there) for name, split in document.splits.items()}
-    return [
-        InputError(
-            f"{folder / FILE_NAME}: splits.{name}.frames",
-            f"{frame_ranges(frames)}, which poses.npz lacks",
-            f"frames of poses.npz: {frame_ranges(poses.frames)}",
-        )
-        for name, frames in missing.items()
-        if frames
-    ]
+    return [InputError(f"{folder / FILE_NAME}: splits.{name}.frames",
+                       f"{frame_ranges(frames)}, which poses.npz lacks",
+                       f"frames of poses.npz: {frame_ranges(poses.frames)}")
+            for name, frames in missing.items() if frames]
 
 
 def digest(folder: Path, document: Document) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -73,27 +74,22 @@ def _image_issues(
 ) -> list[InputError]:
     camera = document.cameras[camera_name]
     found: list[InputError] = []
-    image: np.ndarray | None = None
-    mask: np.ndarray | None = None
-    image_file = folder / document.image_pattern.format(camera=camera_name, frame=frame)
-    mask_file = folder / document.mask_pattern.format(camera=camera_name, frame=frame)
-    try:
-        image = read_image(image_file, (camera.w, camera.h))
-    except InputError as error:
-        found.append(error)
-    try:
-        mask = read_mask(mask_file, (camera.w, camera.h))
-    except InputError as error:
-        found.append(error)
+
+    def attempt(read: Callable[[Path, tuple[int, int]], np.ndarray], file: Path) -> np.ndarray | None:
+        try:
+            return read(file, (camera.w, camera.h))
+        except InputError as error:
+            found.append(error)
+            return None
+
+    image_file, mask_file = document.files(folder, camera_name, frame)
+    image, mask = attempt(read_image, image_file), attempt(read_mask, mask_file)
     if image is not None and mask is not None and not mask.all():
         difference = float(np.abs(image[~mask] - np.array(document.background, dtype=np.float32)).max())
         if difference > _BACKGROUND_TOLERANCE:
             declared = f"{list(document.background)}, within {_BACKGROUND_TOLERANCE:.3f}"
-            found.append(InputError(
-                image_file,
-                f"pixels outside the mask that differ from the background by up to {difference:.3f}",
-                f"the background in capture.json, {declared}",
-            ))
+            differing = f"pixels outside the mask that differ from the background by up to {difference:.3f}"
+            found.append(InputError(image_file, differing, f"the background in capture.json, {declared}"))
     if mask is not None and poses is not None and frame in poses.frames:
         share = fraction_on_mask(camera, poses.vertices[poses.index(frame)], mask)
         if share < ON_MASK:
@@ -107,12 +103,8 @@ def _image_issues(
 
 
 def fraction_on_mask(camera: Camera, vertices: np.ndarray, mask: np.ndarray) -> float:
-    """The fraction of a body's vertices in the image that are on or next to the mask; 0 for none.
-
-    Args:
-        vertices: (V, 3) world positions.
-        mask: (h, w) bool.
-    """
+    """The fraction of a body's vertices, (V, 3), in the image that are on or next to the mask, (h, w) bool;
+    0 for none."""
     pixels = camera.project(vertices)
     height, width = mask.shape
     with np.errstate(invalid="ignore"):

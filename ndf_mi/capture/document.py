@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,9 +12,8 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from ndf_mi.capture.camera import Camera, is_rotation
-from ndf_mi.capture.issues import Issues
 from ndf_mi.errors import InputError
-from ndf_mi.json_input import load_json, shown
+from ndf_mi.json_input import load_json, shown, validated
 
 FORMAT = "ndf-capture"
 VERSION = 1
@@ -93,8 +92,7 @@ class Imported:
     """What a capture was imported from, and which part of it: the optional key ``imported``.
 
     Attributes:
-        layout: the reader's name, such as ``zju`` or ``dynacap``.
-        subject: the subject or sequence, such as ``377``.
+        layout, subject: such as ``zju`` and ``377``.
         cameras: all cameras of the original, in its order, also those that are not in the capture.
         frames, test_frames: the step between the frames that were imported, and between the held-out ones.
         scale: size of the imported images relative to those of the calibration.
@@ -106,10 +104,6 @@ class Imported:
     frames: Step
     test_frames: Step
     scale: Fraction
-
-    def as_json(self) -> dict[str, Any]:
-        """The entries as JSON values."""
-        return asdict(self) | {"cameras": list(self.cameras)}
 
 
 @dataclass(frozen=True)
@@ -128,6 +122,12 @@ class Document:
     def images(self) -> list[tuple[str, int]]:
         """All (camera, frame) pairs of the splits, without repetition, sorted."""
         return sorted({pair for split in self.splits.values() for pair in split})
+
+    def files(self, folder: Path, camera: str, frame: int) -> tuple[Path, Path]:
+        """The image's and the mask's file in the capture's folder."""
+        patterns = (self.image_pattern, self.mask_pattern)
+        image, mask = (folder / pattern.format(camera=camera, frame=frame) for pattern in patterns)
+        return image, mask
 
     def as_json(self) -> dict[str, Any]:
         """The document as JSON values, without empty splits."""
@@ -149,16 +149,32 @@ class Document:
         if self.lighting is not None:
             value["lighting"] = {"scene": self.lighting}
         if self.imported is not None:
-            value["imported"] = self.imported.as_json()
+            value["imported"] = vars(self.imported) | {"cameras": list(self.imported.cameras)}
         return value
 
 
-def read_document(folder: Path) -> Document:
-    """Reads ``folder/capture.json``.
+@dataclass
+class Issues:
+    """All issues of a file, where raising an error would stop at the first."""
 
-    Raises:
-        InputError: the first issue.
-    """
+    file: Path
+    found: list[InputError] = field(default_factory=list)
+
+    def add(self, key: str, found: str, expected: str, repair: str = "") -> None:
+        """Adds an issue with the value of a key, or with the whole file if the key is empty."""
+        self.found.append(InputError(f"{self.file}: {key}" if key else self.file, found, expected, repair))
+
+    def read(self, value: Any, kind: Any, key: str) -> Any:
+        """The value of a key as a type that msgspec knows; otherwise None, with an issue added."""
+        try:
+            return validated(value, kind, f"{self.file}: {key}")
+        except InputError as error:
+            self.found.append(error)
+            return None
+
+
+def read_document(folder: Path) -> Document:
+    """Reads ``folder/capture.json``; raises InputError at the first issue."""
     document, issues = parse_document(folder)
     if document is None:
         raise issues[0]

@@ -15,26 +15,16 @@ from ndf_mi.files import write_json
 
 
 class CaptureWriter:
-    """Writes images and masks one by one; ``finish`` then writes the body, the poses and ``capture.json``.
-
-    Args:
-        path: the capture's folder; made when the first file is written.
-        document: the contents of ``capture.json``.
-    """
+    """Writes images and masks one by one; ``finish`` then writes the body, the poses and ``capture.json``,
+    with ``document`` as its contents. The folder ``path`` is made when the first file is written."""
 
     def __init__(self, path: str | os.PathLike[str], document: Document) -> None:
         self.path = Path(path)
         self.document = document
 
-    def files(self, camera: str, frame: int) -> tuple[Path, Path]:
-        """The paths of the image and the mask."""
-        patterns = (self.document.image_pattern, self.document.mask_pattern)
-        image, mask = (self.path / pattern.format(camera=camera, frame=frame) for pattern in patterns)
-        return image, mask
-
     def has(self, camera: str, frame: int) -> bool:
         """Whether both the image and the mask exist; files are written atomically, and so are complete."""
-        return all(file.is_file() for file in self.files(camera, frame))
+        return all(file.is_file() for file in self.document.files(self.path, camera, frame))
 
     def write(self, camera: str, frame: int, image: np.ndarray, mask: np.ndarray) -> None:
         """Writes one image, (h, w, 3) sRGB float in [0, 1] or uint8, and its mask, (h, w) bool.
@@ -45,7 +35,7 @@ class CaptureWriter:
         of = self.document.cameras[camera]
         if image.shape != (of.h, of.w, 3) or mask.shape != (of.h, of.w):
             raise ValueError(f"camera {camera} is {of.h} x {of.w}, not {image.shape} with mask {mask.shape}")
-        image_file, mask_file = self.files(camera, frame)
+        image_file, mask_file = self.document.files(self.path, camera, frame)
         write_image(image_file, image)
         write_mask(mask_file, mask)
 

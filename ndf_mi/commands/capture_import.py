@@ -50,14 +50,13 @@ class CaptureImport:
 
     def run(self) -> int:
         """Converts the capture, with a progress bar."""
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
         from ndf_mi.capture.capture import Capture
         from ndf_mi.capture.check import summary
         from ndf_mi.capture.readers.dynacap import read_dynacap
         from ndf_mi.capture.readers.importing import import_capture
         from ndf_mi.capture.readers.source import Selection
         from ndf_mi.capture.readers.zju import read_zju
+        from ndf_mi.commands.image_bar import image_bar
 
         selection = Selection(self.frames, self.test_frames, self.train_cameras, self.test_cameras)
         if self.layout == "zju":
@@ -66,17 +65,7 @@ class CaptureImport:
             raise InputError("--subject", f"{self.subject} with the layout dynacap", "a subject only for zju")
         else:
             source = read_dynacap(self.path, selection, self.fits)
-        bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                       TimeRemainingColumn())
-        task = bar.add_task("images", total=None)
-
-        def show(done: int, total: int) -> None:
-            bar.start()  # not earlier, so that errors come without a bar
-            bar.update(task, completed=done, total=total)
-
-        try:
+        with image_bar() as show:
             lines = import_capture(source, self.out, self.smpl, self.uv, self.scale, show)
-        finally:
-            bar.stop()
         print("\n".join([summary(Capture.read(self.out)), *lines]))
         return 0

@@ -56,15 +56,6 @@ class CaptureSynthesise:
 
     def run(self) -> int:
         """Makes the capture, with a progress bar."""
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
-
         from ndf_mi import variants
         from ndf_mi.capture.synthesise import plan
 
@@ -78,22 +69,11 @@ class CaptureSynthesise:
             given["pose_cameras"] = min(settings.pose_cameras, self.cameras - train or self.cameras)
         settings = replace(settings, **given)
         variants.use()
-        from ndf_mi.capture.synthesise.plan import Look
         from ndf_mi.capture.synthesise.synthesise import synthesise
+        from ndf_mi.commands.image_bar import image_bar
 
-        bar = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                       TimeElapsedColumn(),
-                       TimeRemainingColumn())
-        task = bar.add_task("images", total=None)
-
-        def show(done: int, total: int) -> None:
-            bar.start()  # not earlier, so that errors come without a bar
-            bar.update(task, completed=done, total=total)
-
-        try:
-            synthesise(self.out, settings, self.name, self.overwrite, show, self.light,
-                       Look(self.motion, self.clothes, self.folds, self.surface))
-        finally:
-            bar.stop()
+        look = plan.Look(self.motion, self.clothes, self.folds, self.surface)
+        with image_bar() as show:
+            synthesise(self.out, settings, self.name, self.overwrite, show, self.light, look)
         print(f"{self.out}: {settings.pixels} pixels, {settings.cameras} cameras")
         return 0

@@ -23,7 +23,7 @@ import numpy as np
 from ndf_mi import unpickle
 from ndf_mi.body import arrays
 from ndf_mi.capture.document import Split
-from ndf_mi.capture.readers.source import Calibration
+from ndf_mi.capture.readers.source import Calibration, Selection, Source
 from ndf_mi.errors import InputError
 
 FILE_NAME = "annots.npy"
@@ -118,24 +118,26 @@ def read_annotations(folder: Path, size: tuple[int, int] | None) -> Annotations:
     return Annotations(file, cameras, rows)
 
 
-def fit_files(
-    folder: Path, choice: str | None, frames: Sequence[int]
-) -> tuple[dict[int, Path], dict[int, Path], bool]:
-    """Files of fits and of vertices by frame, and whether the fits have pose blend shapes. Without a folder
-    of vertices there are none.
+def source_with_fits(
+    folder: Path, choice: str | None, layout: str, subject: str, selection: Selection,
+    calibrations: dict[str, Calibration], splits: dict[str, Split],
+    images: dict[tuple[str, int], tuple[Path, Path]], mask_above: int = 0
+) -> Source:  # fmt: skip
+    """The source with the fits of ``folder`` and, if there is a folder of them, the posed vertices.
 
     Args:
         folder: the folder of the capture.
         choice: ``new_params`` or ``params``; None for the first of these that exists.
-        frames: frame numbers.
 
     Raises:
         InputError: no such folder.
     """
     place = fit_folder(folder, choice)
     vertices = folder / FITS[place.name]
+    frames = sorted({frame for _, frame in images})
     posed = _files(vertices, frames if vertices.is_dir() else ())
-    return _files(place, frames), posed, place.name == "new_params"
+    return Source(layout, subject, selection, calibrations, splits, images, _files(place, frames), posed,
+                  place.name == "new_params", mask_above)
 
 
 def numbered_files(folder: Path) -> dict[int, Path]:

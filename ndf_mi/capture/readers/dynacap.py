@@ -18,10 +18,10 @@ from pathlib import Path
 from ndf_mi.capture.document import Split
 from ndf_mi.capture.readers.annotated import (
     FILE_NAME,
-    fit_files,
     fit_folder,
     numbered_files,
     read_annotations,
+    source_with_fits,
 )
 from ndf_mi.capture.readers.skeletool import read_calibrations
 from ndf_mi.capture.readers.source import Selection, Source
@@ -50,9 +50,8 @@ def read_dynacap(folder: Path, selection: Selection | None = None, fits: str | N
         numbers = annotations.numbers(rows, lambda file: int(Path(file).stem))
         splits = _splits(folder, selection, list(annotations.calibrations), numbers)
         images = annotations.images(splits, rows, numbers)
-        files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
-        return Source(LAYOUT, name, selection, annotations.calibrations, splits, images, files, vertices,
-                      blended)
+        return source_with_fits(folder, fits, LAYOUT, name, selection, annotations.calibrations, splits,
+                                images)
     cameras = read_calibrations(_calibration_file(folder))
     numbers = sorted(numbered_files(fit_folder(folder, fits)))
     splits = _splits(folder, selection, list(cameras), numbers)
@@ -61,8 +60,7 @@ def read_dynacap(folder: Path, selection: Selection | None = None, fits: str | N
         stem = f"{camera}/image_c_{camera}_f_{frame}"
         images[camera, frame] = (_file(folder / _IMAGES / stem, ".jpg", ".png"),
                                  _file(folder / _MASKS / stem, ".png", ".jpg"))
-    files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
-    return Source(LAYOUT, name, selection, cameras, splits, images, files, vertices, blended, mask_above=127)
+    return source_with_fits(folder, fits, LAYOUT, name, selection, cameras, splits, images, mask_above=127)
 
 
 def _splits(folder: Path, selection: Selection, names: list[str], numbers: Sequence[int]) -> dict[str, Split]:

@@ -44,14 +44,10 @@ class Fits:
         """(3, 3) rotation by quarter turns that makes y point up, along the performer's mean up."""
         up = Rotation.from_rotvec(self.root_rotation).as_matrix()[:, :, 1].mean(0)
         axis = int(np.abs(up).argmax())
-        old = np.sign(up[axis]) * np.eye(3)[axis]
-        # Rodrigues' formula for the rotation from one unit vector to another, both along axes.
-        new = np.array([0.0, 1.0, 0.0])
-        if old @ new < 0:
-            return np.diag([1.0, -1.0, -1.0])
-        k = np.cross(old, new)
-        cross = np.array([[0, -k[2], k[1]], [k[2], 0, -k[0]], [-k[1], k[0], 0]])
-        return np.eye(3) + cross + cross @ cross
+        if axis == 1:
+            return np.diag([1.0, np.sign(up[1]), np.sign(up[1])])
+        turn = np.pi / 2 * np.cross(np.sign(up[axis]) * np.eye(3)[axis], [0.0, 1.0, 0.0])
+        return Rotation.from_rotvec(turn).as_matrix().round() + 0.0  # without negative zeros
 
 
 def read_fits(files: Sequence[Path]) -> Fits:

@@ -45,7 +45,6 @@ def import_capture(
     take neither another motion nor another shape.
 
     Args:
-        source: what the reader found.
         out: a new or empty folder.
         smpl: SMPL's model file; by default the body is the mesh of ``uv``.
         uv: texture coordinates (`ndf_mi.body.uv_file.read_uv`); by default the model gets a one-piece atlas.
@@ -62,7 +61,8 @@ def import_capture(
     if not 0 < scale <= 1:
         raise InputError("--scale", f"{scale:g}", "a number above 0 and at most 1")
     out = Path(out)
-    _check_free(out)
+    if out.is_file() or (out.is_dir() and any(out.iterdir())):
+        raise InputError(out, "something that exists already", "a new or empty folder")
     source.check_files()
     frames = sorted(source.fits)
     fits = read_fits([source.fits[frame] for frame in frames])
@@ -74,7 +74,11 @@ def import_capture(
                   pose=fits.pose, root_rotation=fits.root_rotation, translation=fits.translation,
                   shape=_shape(fits, body))
     poses.check(body)
-    cameras = {name: _raw_camera(source, name, turn) for name in {name for name, _ in source.images}}
+    images = {name: image for (name, _), (image, _) in reversed(source.images.items())}  # the first of each
+    cameras = {}
+    for name, image in images.items():
+        calibration = source.calibrations[name]
+        cameras[name] = calibration.camera(calibration.size or size_of(image), turn)
     with _staged(out) as stage:
         _write(source, CaptureWriter(stage, _document(source, cameras, scale)), body, poses, cameras, scale,
                progress)
@@ -135,12 +139,6 @@ def _shape(fits: Fits, body: Body) -> np.ndarray:
     return fits.shape[: body.shape_count] if body.skinned else fits.shape
 
 
-def _raw_camera(source: Source, name: str, turn: np.ndarray) -> Camera:
-    calibration = source.calibrations[name]
-    first = next(image for (camera, _), (image, _) in source.images.items() if camera == name)
-    return calibration.camera(calibration.size or size_of(first), turn)
-
-
 def _document(source: Source, raw: dict[str, Camera], scale: float) -> Document:
     """The contents of ``capture.json``, with pinhole cameras in the layout's order."""
     cameras = {name: shrunk(raw[name], scale) for name in source.calibrations if name in raw}
@@ -160,26 +158,21 @@ def _write(source: Source, writer: CaptureWriter, body: Body, poses: Poses, raw:
             image_file, mask_file = source.images[name, frame]
             image = rectifier.image(read_rgb(image_file, size))
             mask = rectifier.mask(read_labels(mask_file, size, source.mask_above))
-            _check_mask(mask_file, mask, rectifier.camera, poses.vertices[poses.index(frame)], frame)
+            _check_mask(mask_file, mask, rectifier.camera, poses, frame)
             writer.write(name, frame, np.where(mask[..., None], image, np.uint8(0)), mask)
             done += 1
             progress(done, len(source.images))
     writer.finish(body, poses)
 
 
-def _check_mask(file: Path, mask: np.ndarray, camera: Camera, vertices: np.ndarray, frame: int) -> None:
+def _check_mask(file: Path, mask: np.ndarray, camera: Camera, poses: Poses, frame: int) -> None:
     if not mask.any():
         raise InputError(file, "an empty mask", "some pixels of the performer")
-    share = fraction_on_mask(camera, vertices, mask)
+    share = fraction_on_mask(camera, poses.vertices[poses.index(frame)], mask)
     if share < ON_MASK:
         found = f"only {share:.0%} of the fitted body's vertices on the mask, frame {frame}"
         repair = "Check frame numbers, and the units of calibrations (T in millimetres) and fits (metres)."
         raise InputError(file, found, f"{ON_MASK:.0%} or more", repair)
-
-
-def _check_free(out: Path) -> None:
-    if out.is_file() or (out.is_dir() and any(out.iterdir())):
-        raise InputError(out, "something that exists already", "a new or empty folder")
 
 
 @contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,12 +22,11 @@ class Rectifier:
     They are undistorted at full size, images bilinearly and masks from the nearest pixel. Images are then
     averaged over the area of each smaller pixel; of masks the top left pixel is taken, as in ZJU-MoCap's
     protocol. The same resampling makes pixels square, with the mean focal length, so that nothing is
-    resampled when the capture is read.
+    resampled when the capture is read. Fractions of a pixel at the right and bottom edge are cut off.
 
     Args:
         camera: the calibrated camera, of the size of the given images.
-        scale: size of the new image relative to the old one, in (0, 1]. Fractions of a pixel at the right and
-            bottom edge are cut off.
+        scale: size of the new image relative to the old one, in (0, 1].
 
     Attributes:
         camera: the pinhole camera of the smaller size.
@@ -78,18 +79,15 @@ def read_rgb(path: Path, size: tuple[int, int]) -> np.ndarray:
         InputError: the file is missing, truncated or not an image.
     """
     with _opened(path) as image:
-        pixels = _loaded(path, image).convert("RGB")
+        pixels = image.convert("RGB")
         return np.asarray(pixels if pixels.size == size else pixels.resize(size, Image.Resampling.BILINEAR))
 
 
 def read_labels(path: Path, size: tuple[int, int], above: int) -> np.ndarray:
-    """(h, w) bool of a mask file: whether a channel is above ``above``; resized by nearest pixels.
-
-    Raises:
-        InputError: the file is missing, truncated or not an image.
-    """
+    """(h, w) bool of a mask file: whether a channel is above ``above``; resized by nearest pixels. Errors as
+    `read_rgb`."""
     with _opened(path) as image:
-        mask = np.asarray(_loaded(path, image))
+        mask = np.asarray(image)
     if mask.ndim == 3:
         mask = mask[..., :1] if mask.shape[2] == 2 else mask[..., :3]  # without opacity
         mask = mask.max(axis=2)
@@ -98,19 +96,14 @@ def read_labels(path: Path, size: tuple[int, int], above: int) -> np.ndarray:
     return mask[np.ix_(rows, columns)]
 
 
-def _opened(path: Path) -> Image.Image:
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """The image; errors while it is decoded become InputErrors."""
     try:
-        return Image.open(path, formats=["JPEG", "PNG"])
+        with Image.open(path, formats=["JPEG", "PNG"]) as image:
+            yield image
     except FileNotFoundError:
         raise InputError(path, "no such file", "an image, JPEG or PNG") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(path, f"a file that cannot be decoded ({error})", "an image, JPEG or PNG") from None
-
-
-def _loaded(path: Path, image: Image.Image) -> Image.Image:
-    try:
-        image.load()
-    except (OSError, SyntaxError, ValueError, EOFError) as error:
+    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
         found = f"a file that cannot be decoded ({error})"
         raise InputError(path, found, "a whole image, JPEG or PNG") from None
-    return image

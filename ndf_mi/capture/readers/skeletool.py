@@ -18,6 +18,7 @@ import numpy as np
 
 from ndf_mi.capture.readers.source import Calibration
 from ndf_mi.errors import InputError
+from ndf_mi.files import read_lines
 
 _MILLIMETRES = 1e-3
 _NUMBERS = {"size": 2, "intrinsic": 16, "extrinsic": 16}
@@ -30,13 +31,7 @@ def read_calibrations(path: Path) -> dict[str, Calibration]:
         InputError: the file is missing or not such a text, or a block lacks something; the message names the
             camera.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:
-        raise InputError(path, "no such file", "the cameras' calibrations") from None
-    except (OSError, UnicodeDecodeError) as error:
-        found = f"a file that cannot be read as text ({error})"
-        raise InputError(path, found, "the cameras' calibrations") from None
+    lines = read_lines(path, "the cameras' calibrations")
     blocks: dict[str, dict[str, list[str]]] = {}
     block: dict[str, list[str]] = {}
     for line in lines:

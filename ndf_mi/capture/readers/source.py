@@ -67,16 +67,13 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Selection:
-    """The part of a capture to import.
+    """The part of a capture to import; InputError if a number is below 1 or not such a multiple.
 
     Attributes:
         frames: step between the frames of all splits.
         test_frames: step between the frames of the held-out splits; a multiple of ``frames``, so that novel
             views show frames that are trained on.
         train_cameras, test_cameras: names of cameras, by default those of the layout's protocol.
-
-    Raises:
-        InputError: a number is below 1, or not a multiple of ``frames``.
     """
 
     frames: int = 1
@@ -85,10 +82,9 @@ class Selection:
     test_cameras: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("frames", "test_frames"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name.replace('_', '-')}", str(getattr(self, name)),
-                                 "a whole number above 0")
+        for option, step in (("--frames", self.frames), ("--test-frames", self.test_frames)):
+            if step < 1:
+                raise InputError(option, str(step), "a whole number above 0")
         if self.test_frames % self.frames:
             raise InputError("--test-frames", str(self.test_frames), f"a multiple of --frames, {self.frames}")
 
@@ -96,32 +92,26 @@ class Selection:
         self, names: Sequence[str], train: Sequence[str], test: Sequence[str], view_frames: Sequence[int],
         pose_frames: Sequence[int]
     ) -> dict[str, Split]:
-        """The splits.
-
-        Args:
-            names: all cameras.
-            train, test: those of the layout's protocol.
-            view_frames: frames to train on, also shown in novel views.
-            pose_frames: frames of novel poses.
+        """The splits, of all cameras ``names`` and the protocol's ``train`` and ``test``; ``view_frames`` are
+        trained on and also shown in novel views.
 
         Raises:
             InputError: a chosen camera does not exist, or is used for training and testing; or no camera
                 remains.
         """
-        for option in ("train_cameras", "test_cameras"):
-            unknown = sorted(set(getattr(self, option)) - set(names))
+        for option, chosen in (("--train-cameras", self.train_cameras), ("--test-cameras", self.test_cameras)):
+            unknown = sorted(set(chosen) - set(names))
             if unknown:
-                raise InputError(f"--{option.replace('_', '-')}", unknown[0],
-                                 f"cameras among {', '.join(names)}")
+                raise InputError(option, unknown[0], f"cameras among {', '.join(names)}")
         both = sorted(set(self.train_cameras) & set(self.test_cameras))
         if both:
             raise InputError("--test-cameras", f"{both[0]}, a training camera",
                              "cameras that are not trained on")
         train = self.train_cameras or tuple(name for name in train if name not in self.test_cameras)
         test = self.test_cameras or tuple(name for name in test if name not in train)
-        for option, chosen in (("train_cameras", train), ("test_cameras", test)):
+        for option, chosen in (("--train-cameras", train), ("--test-cameras", test)):
             if not chosen:
-                raise InputError(f"--{option.replace('_', '-')}", "no camera", f"some of {', '.join(names)}")
+                raise InputError(option, "no camera", f"some of {', '.join(names)}")
         return {"train": Split(tuple(train), tuple(view_frames[:: self.frames])),
                 "novel_view": Split(tuple(test), tuple(view_frames[:: self.test_frames])),
                 "novel_pose": Split(tuple(test), tuple(pose_frames[:: self.test_frames]))}
@@ -134,7 +124,6 @@ class Source:
     Attributes:
         layout: ``zju`` or ``dynacap``.
         subject: the subject's or sequence's name.
-        selection: the part to import.
         calibrations: of all cameras by name, in the layout's order.
         splits: ``train``, ``novel_view`` and ``novel_pose``.
         images: image and mask files of every camera and frame of the splits.

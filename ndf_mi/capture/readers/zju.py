@@ -10,7 +10,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from ndf_mi.capture.readers.annotated import fit_files, read_annotations
+from ndf_mi.capture.readers.annotated import read_annotations, source_with_fits
 from ndf_mi.capture.readers.source import Selection, Source
 from ndf_mi.errors import InputError
 
@@ -87,8 +87,7 @@ def read_zju(
     train = [names[i] for i in TRAIN_CAMERAS if i < len(names)]
     splits = selection.splits(names, train, names, view, pose)
     images = annotations.images(splits, [*of.train, *of.novel_pose], [*view, *pose])
-    files, vertices, blended = fit_files(folder, fits, sorted({frame for _, frame in images}))
-    return Source(LAYOUT, key, selection, annotations.calibrations, splits, images, files, vertices, blended)
+    return source_with_fits(folder, fits, LAYOUT, key, selection, annotations.calibrations, splits, images)
 
 
 def _guess(folder: Path) -> str:
