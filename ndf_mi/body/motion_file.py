@@ -132,8 +132,6 @@ def _play_poses(
         require_finite(f"{path}: pose", found["pose"], names, found["frames"])
     with arrays.located("poses", path):
         poses = Poses(**found)
-    if len(poses) == 0:
-        raise InputError(f"{path}: frames", "no frame", "at least one")
     motion = Motion(poses.pose, poses.root_rotation, poses.translation)
     if keep and _same_body(poses, reference, body, theirs):
         return motion, poses.vertices
@@ -161,13 +159,10 @@ def _check_joints(path: Path, pose: np.ndarray, body: Body, reference: Poses, th
 
 def _same_body(poses: Poses, reference: Poses, body: Body, theirs: Body | None) -> bool:
     """Whether ``poses`` have the vertices of the run's body: number, shape and, if known, template."""
-    if poses.vertices.shape[1] != reference.vertices.shape[1]:
+    if poses.vertices.shape[1] != reference.vertices.shape[1] or not _equal(poses.shape, reference.shape):
         return False
-    if not _equal(poses.shape, reference.shape):
-        return False
-    if theirs is None:
-        return True
-    return _equal(theirs.template, body.template) and np.array_equal(theirs.faces, body.faces)
+    return theirs is None or (
+        _equal(theirs.template, body.template) and np.array_equal(theirs.faces, body.faces))
 
 
 def _equal(a: np.ndarray | None, b: np.ndarray | None) -> bool:

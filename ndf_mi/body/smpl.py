@@ -64,22 +64,19 @@ def load_smpl(path: str | os.PathLike[str], uv: str | os.PathLike[str] | None = 
         joint_dirs = np.einsum("jv,vcb->jcb", regressor, shape_dirs)
     if "posedirs" in found and pose_blend_shapes:
         pose_dirs = _dense(path, "posedirs", found, (count, 3, 9 * (joint_count - 1)))
-    uv_points, uv_faces = _uv(uv, template, faces)
+    if uv is not None:
+        uv_points, uv_faces = read_uv(uv).over(faces, count)
+    else:
+        atlas = one_piece(template, faces)
+        uv_points, uv_faces = atlas.uv, atlas.uv_faces
+    names = tuple(f"joint{j:02d}" for j in range(joint_count))
     with arrays.located("body", path):
         return Body(
-            faces=faces,
-            uv=uv_points,
-            uv_faces=uv_faces,
-            template=template,
-            joints=regressor @ template,
-            joint_names=_names(joint_count),
-            parents=_parents(f"{path}: kintree_table",
-                             arrays.regular(f"{path}: kintree_table", found["kintree_table"]), joint_count),
-            weights=weights,
-            shape_dirs=shape_dirs,
-            pose_dirs=pose_dirs,
-            joint_dirs=joint_dirs,
-        )
+            faces=faces, uv=uv_points, uv_faces=uv_faces, template=template, joints=regressor @ template,
+            joint_names=JOINT_NAMES if joint_count == len(JOINT_NAMES) else names,
+            parents=_parents(f"{path}: kintree_table", found["kintree_table"], joint_count),
+            weights=weights, shape_dirs=shape_dirs, pose_dirs=pose_dirs, joint_dirs=joint_dirs,
+        )  # fmt: skip
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -111,8 +108,9 @@ def _dense(path: Path, key: str, found: dict[str, Any], shape: tuple[int | None,
     return array.astype(np.float64)
 
 
-def _parents(where: str, table: np.ndarray, count: int) -> np.ndarray:
+def _parents(where: str, value: Any, count: int) -> np.ndarray:
     """(J,) parents, from a table of each joint's parent (first row) and the joint itself."""
+    table = arrays.regular(where, value)
     arrays.check_shape(where, table, (2, count))
     if table.dtype.kind not in "iu":
         raise InputError(where, f"type {table.dtype}", "whole numbers")
@@ -123,16 +121,3 @@ def _parents(where: str, table: np.ndarray, count: int) -> np.ndarray:
         raise InputError(where, "a parent that is no joint, or the same joint twice",
                          "the parent of each joint, -1 for the root")
     return np.array(parents, dtype=np.int32)
-
-
-def _names(count: int) -> tuple[str, ...]:
-    return JOINT_NAMES if count == len(JOINT_NAMES) else tuple(f"joint{j:02d}" for j in range(count))
-
-
-def _uv(
-    uv: str | os.PathLike[str] | None, template: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    if uv is not None:
-        return read_uv(uv).over(faces, len(template))
-    atlas = one_piece(template, faces)
-    return atlas.uv, atlas.uv_faces

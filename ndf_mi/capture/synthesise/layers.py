@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ndf_mi.body.anny import Garment
 from ndf_mi.body.body import Body
 from ndf_mi.body.mesh import vertex_normals
 from ndf_mi.capture.synthesise.folds import Folds
@@ -51,7 +50,7 @@ class Sheet:
     faces: np.ndarray
 
     @classmethod
-    def of(cls, source: Garment | Body, shape: np.ndarray) -> Sheet:
+    def of(cls, source: Body, shape: np.ndarray) -> Sheet:
         """The surface at the shape coefficients ``shape``; at UV seams a vertex gets one of its UVs."""
         assert source.template is not None and source.weights is not None and source.shape_dirs is not None
         rest = source.template + source.shape_dirs @ shape
