@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import trimesh
 
 from ndf_mi.body import arrays, atlas_flatten
 from ndf_mi.body import atlas_mesh as mesh
@@ -53,10 +54,10 @@ def one_piece(vertices: np.ndarray, faces: np.ndarray, front: Sequence[float] = 
         raise InputError("front", "a zero vector", "a direction")
     facing /= np.linalg.norm(facing)
     opposite = mesh.opposites(triangles)
-    doubled = mesh.doubled_areas(points[triangles])
-    if doubled.min() <= _LEAST_AREA * doubled.sum():
-        thin = int(np.argmin(doubled))
-        found = f"triangle {thin} with the area {doubled[thin] / 2:.3g} of {doubled.sum() / 2:.3g}"
+    areas = trimesh.triangles.area(points[triangles])
+    if areas.min() <= _LEAST_AREA * areas.sum():
+        thin = int(np.argmin(areas))
+        found = f"triangle {thin} with the area {areas[thin]:.3g} of {areas.sum():.3g}"
         raise InputError("vertices", found, "triangles with an area", "Use another pose, or repair the mesh.")
 
     charts, uv_faces, first = [], np.zeros_like(triangles), 0
@@ -134,6 +135,6 @@ def _rounds_well(flat: np.ndarray, corners: np.ndarray) -> bool:
     if not np.isfinite(flat).all():
         return False
     unit = np.round(pack([flat]) * _GRID) / _GRID
-    if mesh.doubled_areas(unit[corners]).min() <= 0:
+    if trimesh.triangles.cross(unit[corners]).min() <= 0:
         return False
     return len(overlapping(unit[corners])) == 0

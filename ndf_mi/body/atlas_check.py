@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 
 from ndf_mi.body import atlas_flatten
 from ndf_mi.body import atlas_mesh as mesh
@@ -81,9 +82,10 @@ def check_atlas(vertices: np.ndarray, faces: np.ndarray, atlas: Atlas) -> AtlasR
     cut = open_edges(corners, opposite)
     at_corners = points[faces].reshape(-1, 3)
     own = np.arange(faces.size).reshape(-1, 3)
-    doubled, true = mesh.doubled_areas(flat[corners]), mesh.doubled_areas(points[faces])
+    signed, true = trimesh.triangles.cross(flat[corners]) / 2, trimesh.triangles.area(points[faces])
+    covered = np.abs(signed).sum()
     edge = np.nonzero(cut & (opposite > np.arange(len(opposite))))[0]
-    scaled = flat[corners].reshape(-1, 2) * np.sqrt(true.sum() / np.abs(doubled).sum())
+    scaled = flat[corners].reshape(-1, 2) * np.sqrt(true.sum() / covered)
     sigma = atlas_flatten.stretches(at_corners, own, scaled)
     with np.errstate(divide="ignore", invalid="ignore"):
         area, ratio = sigma.prod(1), sigma[:, 0] / sigma[:, 1]
@@ -92,9 +94,9 @@ def check_atlas(vertices: np.ndarray, faces: np.ndarray, atlas: Atlas) -> AtlasR
     return AtlasReport(
         components=int(mesh.components(opposite).max()) + 1,
         charts=int(mesh.components(opposite, cut).max()) + 1,
-        flipped=int((doubled <= 0).sum()),
+        flipped=int((signed <= 0).sum()),
         overlaps=len(overlapping(flat[corners])),
-        covered=float(np.abs(doubled).sum() / 2),
+        covered=float(covered),
         seam_length=float(np.linalg.norm(at_corners[edge] - at_corners[mesh.following(edge)], axis=1).sum()),
         energy=atlas_flatten.symmetric_dirichlet(at_corners, own, scaled),
         area_stretch=(low, middle, high),
@@ -128,10 +130,10 @@ def overlapping(corners: np.ndarray) -> np.ndarray:
     Args:
         corners: (F, 3, 2) float64 in [0, 1], of either orientation.
     """
-    doubled = mesh.doubled_areas(corners)
-    ordered = np.where((doubled < 0)[:, None, None], corners[:, ::-1], corners)
+    signed = trimesh.triangles.cross(corners)
+    ordered = np.where((signed < 0)[:, None, None], corners[:, ::-1], corners)
     found = [np.zeros((0, 2), np.int64)]
-    for pairs in _candidates(ordered, np.nonzero(doubled != 0)[0]):
+    for pairs in _candidates(ordered, np.nonzero(signed != 0)[0]):
         for begin in range(0, len(pairs), _CHUNK):
             some = pairs[begin : begin + _CHUNK]
             one, other = ordered[some[:, 0]], ordered[some[:, 1]]

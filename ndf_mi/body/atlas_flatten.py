@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+import trimesh
 from scipy import sparse
-from scipy.sparse import linalg
+from scipy.sparse import csgraph, linalg
 
 from ndf_mi.body import atlas_mesh as mesh
 from ndf_mi.optional import require
@@ -37,11 +38,8 @@ def tutte_disk(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     rounding can flip a triangle."""
     loop, circle = _circle(points, faces)
     count = len(points)
-    u, v = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    ends = (np.r_[u, v], np.r_[v, u])
-    adjacent = sparse.coo_matrix((np.ones(2 * len(u)), ends), shape=(count, count)).tocsr()
-    adjacent.data[:] = 1
-    laplacian = sparse.diags(np.asarray(adjacent.sum(1)).ravel()) - adjacent
+    ahead = trimesh.graph.edges_to_coo(trimesh.geometry.faces_to_edges(faces), count).tocsr()
+    laplacian = sparse.csr_matrix(csgraph.laplacian((ahead + ahead.T).astype(np.float64)))
     inner = np.setdiff1d(np.arange(count), loop)
     flat = np.zeros((count, 2))
     flat[loop] = circle
@@ -62,11 +60,10 @@ def _circle(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def start(points: np.ndarray, faces: np.ndarray) -> np.ndarray | None:
     """The harmonic map, or else Tutte's, scaled to the area of the surface; None if both flip triangles."""
-    area = mesh.doubled_areas(points[faces]).sum() / 2
+    area = trimesh.triangles.area(points[faces]).sum()
     for method in (harmonic_disk, tutte_disk):
         flat = method(points, faces) * np.sqrt(area / np.pi)
-        found = mesh.doubled_areas(flat[faces])
-        if np.isfinite(flat).all() and found.min() > 0:
+        if np.isfinite(flat).all() and trimesh.triangles.cross(flat[faces]).min() > 0:
             return flat
     return None
 
@@ -78,7 +75,7 @@ def relaxed(points: np.ndarray, faces: np.ndarray, flat: np.ndarray) -> Iterator
     """
     igl, triangle = require("igl", extra="atlas"), require("igl.triangle", extra="atlas")
     # The weights of the method are absolute, for a surface of area 1.
-    scale = np.sqrt(mesh.doubled_areas(points[faces]).sum() / 2)
+    scale = np.sqrt(trimesh.triangles.area(points[faces]).sum())
     data = triangle.SCAFData()
     triangle.scaf_precompute(
         np.asfortranarray(points / scale), np.asfortranarray(faces, np.int32),
@@ -113,4 +110,4 @@ def symmetric_dirichlet(points: np.ndarray, faces: np.ndarray, flat: np.ndarray)
     with np.errstate(divide="ignore"):
         squared = stretches(points, faces, flat) ** 2
         energy = (squared + 1 / squared).sum(1) / 4
-    return float(np.average(energy, weights=mesh.doubled_areas(points[faces])))
+    return float(np.average(energy, weights=trimesh.triangles.area(points[faces])))

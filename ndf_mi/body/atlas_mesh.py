@@ -7,9 +7,9 @@ Arrays over half-edges and over corners are flat, of length 3F.
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse import csgraph
+import trimesh
 
+from ndf_mi.body.mesh import opposite_half_edges
 from ndf_mi.errors import InputError
 
 
@@ -25,30 +25,27 @@ def opposites(faces: np.ndarray, where: str = "faces") -> np.ndarray:
         InputError: a triangle has a vertex twice, more than two triangles share an edge, or two triangles at
             an edge are oriented differently.
     """
-    start = faces.ravel().astype(np.int64)
-    end = np.roll(faces, -1, axis=1).ravel().astype(np.int64)
+    start, end = trimesh.geometry.faces_to_edges(faces).T
     if (start == end).any():
         triangle = int(np.argmax(start == end)) // 3
         raise InputError(where, f"triangle {triangle} with the vertices {faces[triangle].tolist()}",
                          "three different vertices")
-    count = int(start.max()) + 1
-    key = np.minimum(start, end) * count + np.maximum(start, end)
-    _, inverse, shared = np.unique(key, return_inverse=True, return_counts=True)
-    if shared.max() > 2:
-        edge = int(np.argmax(shared[inverse] > 2))
-        found = f"{shared.max()} triangles at the edge of the vertices {start[edge]} and {end[edge]}"
+    opposite = opposite_half_edges(faces)
+    single = np.nonzero(opposite < 0)[0]
+    edges = np.sort(np.stack([start, end], axis=1)[single], axis=1)
+    first, inverse = trimesh.grouping.unique_rows(edges)
+    shared = np.bincount(inverse)
+    if len(first) < len(single):
+        edge = edges[first[np.argmax(shared)]]
+        found = f"{shared.max()} triangles at the edge of the vertices {edge[0]} and {edge[1]}"
         raise InputError(where, found, "a manifold: at most two triangles at an edge")
-    order = np.argsort(inverse, kind="stable")
-    first = (np.cumsum(shared) - shared)[shared == 2]
-    one, other = order[first], order[first + 1]
-    if (start[one] == start[other]).any():
-        edge = one[np.argmax(start[one] == start[other])]
+    turned = (opposite >= 0) & (start == start[opposite])
+    if turned.any():
+        edge = int(np.argmax(turned))
         found = f"triangles of different orientation at the edge of vertices {start[edge]} and {end[edge]}"
         raise InputError(where, found, "triangles of one orientation",
                          "Make all triangles counter-clockwise seen from outside.")
-    result = np.full(len(start), -1, np.int64)
-    result[one], result[other] = other, one
-    return result
+    return opposite
 
 
 def vertices_after_cut(opposite: np.ndarray, cut: np.ndarray) -> np.ndarray:
@@ -58,19 +55,16 @@ def vertices_after_cut(opposite: np.ndarray, cut: np.ndarray) -> np.ndarray:
     this splits the vertices where a surface only touches itself.
     """
     inner = np.nonzero((opposite >= 0) & ~cut)[0]
-    across = opposite[inner]
-    n = len(opposite)
-    joined = sparse.coo_matrix((np.ones(len(inner), np.int8), (inner, following(across))), shape=(n, n))
-    return csgraph.connected_components(joined, directed=False)[1].astype(np.int64).reshape(-1, 3)
+    joined = np.stack([inner, following(opposite[inner])], axis=1)
+    labels = trimesh.graph.connected_component_labels(joined, node_count=len(opposite))
+    return labels.astype(np.int64).reshape(-1, 3)
 
 
 def components(opposite: np.ndarray, cut: np.ndarray | None = None) -> np.ndarray:
     """(F,) the number of each triangle's connected component, across edges that are not ``cut``."""
     inner = np.nonzero(opposite >= 0 if cut is None else (opposite >= 0) & ~cut)[0]
-    n = len(opposite) // 3
-    joined = sparse.coo_matrix((np.ones(len(inner), np.int8), (inner // 3, opposite[inner] // 3)),
-                               shape=(n, n))
-    return csgraph.connected_components(joined, directed=False)[1]
+    joined = np.stack([inner, opposite[inner]], axis=1) // 3
+    return trimesh.graph.connected_component_labels(joined, node_count=len(opposite) // 3)
 
 
 def boundary_loops(faces: np.ndarray, opposite: np.ndarray) -> list[np.ndarray]:
@@ -87,17 +81,3 @@ def boundary_loops(faces: np.ndarray, opposite: np.ndarray) -> list[np.ndarray]:
             at = after.pop(at)
         loops.append(np.array(loop))
     return loops
-
-
-def euler_characteristic(faces: np.ndarray, opposite: np.ndarray) -> int:
-    """V - E + F: 2 for a sphere; two less for each handle, one less for each boundary loop."""
-    edges = (len(opposite) + int((opposite < 0).sum())) // 2
-    return len(np.unique(faces)) - edges + len(faces)
-
-
-def doubled_areas(corners: np.ndarray) -> np.ndarray:
-    """Twice the areas of triangles, (F, 3, 2) or (F, 3, 3); in the plane, signed by orientation."""
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    if corners.shape[2] == 2:
-        return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return np.linalg.norm(np.cross(a, b), axis=1)

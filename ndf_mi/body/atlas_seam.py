@@ -11,6 +11,7 @@ face away from the front, and are long.
 from __future__ import annotations
 
 import numpy as np
+import trimesh
 from scipy import sparse
 from scipy.sparse import csgraph
 
@@ -47,7 +48,7 @@ def choose_seam(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, fro
     """
     seam = _Seam(points, faces, opposite, front)
     loops = mesh.boundary_loops(faces, opposite)
-    genus = (2 - len(loops) - mesh.euler_characteristic(faces, opposite)) // 2
+    genus = (2 - len(loops) - trimesh.Trimesh(points, faces, process=False).euler_number) // 2
     if loops:
         seam.start(loops[0])
         seam.extend(loops[1:])
@@ -61,7 +62,7 @@ def choose_seam(points: np.ndarray, faces: np.ndarray, opposite: np.ndarray, fro
         seam.extend([np.array([second]), np.array([third])])
     if genus:
         seam.open_handles()
-    area = mesh.doubled_areas(points[faces]).sum() / 2
+    area = trimesh.triangles.area(points[faces]).sum()
     while seam.perimeter < LEAST_PERIMETER * np.sqrt(4 * np.pi * area) and not seam.reached.all():
         seam.extend([np.array([seam.farthest(np.nonzero(seam.reached)[0])])])
     for _ in range(_ROUNDS):
@@ -180,14 +181,12 @@ def _squeezed_tips(
     source = np.zeros(split.max() + 1, np.int64)
     source[split.ravel()] = faces.ravel()
     flat = harmonic_disk(points[source], split)
-    found, true = mesh.doubled_areas(flat[split]), mesh.doubled_areas(points[faces])
+    found, true = trimesh.triangles.cross(flat[split]), trimesh.triangles.area(points[faces])
     around = [np.bincount(faces.ravel(), np.repeat(a / a.sum(), 3), len(points)) for a in (found, true)]
     squeezed = ~(around[0] > SQUEEZED * around[1]) & ~seam.reached & (seam.seen > HIDDEN)
-    u, v = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    inner = squeezed[u] & squeezed[v]
-    count = len(points)
-    joined = sparse.coo_matrix((np.ones(inner.sum(), np.int8), (u[inner], v[inner])), shape=(count, count))
-    regions = csgraph.connected_components(joined, directed=False)[1]
+    edges = trimesh.geometry.faces_to_edges(faces)
+    inner = edges[squeezed[edges].all(axis=1)]
+    regions = trimesh.graph.connected_component_labels(inner, node_count=len(points))
     far = np.where(squeezed, seam.distances(np.nonzero(seam.reached)[0]), -1.0)
     tips: dict[int, int] = {}
     for vertex in np.nonzero(squeezed)[0].tolist():

@@ -47,8 +47,7 @@ class Stability:
         """Runs the cases, prints a row as each is done, and writes the file."""
         from ndf_mi.optional import require
 
-        for module in ("pytest", "trimesh"):
-            require(module, extra=EXTRA)
+        require("pytest", extra=EXTRA)
         import drjit as dr
         import mitsuba as mi
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import trimesh
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
@@ -50,7 +51,7 @@ def detail(body: Body, rest: np.ndarray, observations: Observations, views: Sequ
         observations, views: of the training images.
     """
     corners, uv = rest[body.faces], body.uv.astype(np.float64)[body.uv_faces]
-    area, uv_area = _areas(corners), _areas(np.concatenate([uv, np.zeros((*uv.shape[:2], 1))], axis=2))
+    area, uv_area = trimesh.triangles.area(corners), trimesh.triangles.area(uv)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.sqrt(uv_area / area)[observations.triangle]
     uv_footprint = observations.footprint * np.where(np.isfinite(scale), scale, 0)
@@ -74,11 +75,6 @@ def _parts(body: Body, area: np.ndarray, shown: np.ndarray) -> dict[str, float]:
     count = len(body.joint_names)
     seen, every = np.bincount(joint, area * shown, minlength=count), np.bincount(joint, area, minlength=count)
     return {name: float(seen[i] / every[i]) for i, name in enumerate(body.joint_names) if every[i] > 0}
-
-
-def _areas(corners: np.ndarray) -> np.ndarray:
-    a, b, c = np.moveaxis(corners, 1, 0)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def _within(points: np.ndarray, chosen: np.ndarray, reach: float) -> np.ndarray:

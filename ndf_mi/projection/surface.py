@@ -6,8 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.body.mesh import opposite_half_edges
 from ndf_mi.errors import InputError
-from ndf_mi.projection.topology import build_tree, half_edges
+from ndf_mi.projection.topology import build_tree
 
 
 def aligned(array: mi.Float | mi.UInt32) -> mi.Float | mi.UInt32:
@@ -64,10 +65,10 @@ class Surface:
         self.face_count = len(triangles)
         tree = build_tree(vertices, triangles)
         self.depth = tree.depth
-        neighbour, _ = half_edges(triangles)
-        own = np.arange(self.face_count)[:, None]
+        opposite = opposite_half_edges(triangles)
+        own = np.repeat(np.arange(self.face_count), 3)
         self.faces = _index(triangles)
-        self.neighbours = _index(np.where(neighbour >= 0, neighbour, own))
+        self.neighbours = _index(np.where(opposite >= 0, opposite // 3, own))
         self.corner_uv = aligned(mi.Float(np.ascontiguousarray(uv[corners]).ravel()))
         self.leaf_corners = _index(tree.corners)
         self.leaf_triangles = _index(tree.triangles)

@@ -1,10 +1,12 @@
-"""The search tree of a mesh, and neighbours across edges: topology that no pose changes."""
+"""The search tree of a mesh: topology that no pose changes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+
+from ndf_mi.body.mesh import opposite_half_edges
 
 
 @dataclass(frozen=True)
@@ -35,29 +37,6 @@ class Tree:
         return 1 << self.depth
 
 
-def half_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Neighbours across edges: for (F, 3) faces, edge k runs from corner k to corner k + 1.
-
-    Returns:
-        (F, 3) int64 opposite triangle and (F, 3) int64 the number of the edge there; -1 at a boundary and
-        where more than two triangles share the edge.
-    """
-    start, end = faces, np.roll(faces, -1, axis=1)
-    low, high = (
-        np.minimum(start, end).ravel().astype(np.int64), np.maximum(start, end).ravel().astype(np.int64)
-    )
-    key = low * (int(faces.max()) + 1) + high
-    order = np.argsort(key, kind="stable")
-    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
-    first = first[count == 2]
-    opposite = np.full(key.size, -1, np.int64)
-    opposite[order[first]] = order[first + 1]
-    opposite[order[first + 1]] = order[first]
-    triangle = np.where(opposite >= 0, opposite // 3, -1).reshape(faces.shape)
-    edge = np.where(opposite >= 0, opposite % 3, -1).reshape(faces.shape)
-    return triangle, edge
-
-
 def pair_triangles(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Joins triangles across shared edges, the edge that is longest for its two triangles first.
 
@@ -66,12 +45,12 @@ def pair_triangles(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray,
     Returns:
         (P, 4) corners and (P, 2) triangles, as in :class:`Tree`.
     """
-    neighbour, other_edge = half_edges(faces)
+    opposite = opposite_half_edges(faces).reshape(faces.shape)
     corner = vertices[faces]
     length = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2)
     share = length / np.maximum(length.sum(1, keepdims=True), np.finfo(np.float64).tiny)
-    t, k = np.nonzero(neighbour > np.arange(len(faces))[:, None])
-    n, m = neighbour[t, k], other_edge[t, k]
+    t, k = np.nonzero(opposite // 3 > np.arange(len(faces))[:, None])
+    n, m = np.divmod(opposite[t, k], 3)
     order = np.argsort(-(share[t, k] + share[n, m]), kind="stable")
     free = np.ones(len(faces), bool)
     chosen = []

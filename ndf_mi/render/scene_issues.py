@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import trimesh
 
 from ndf_mi.mitsuba_mesh import triangles
 from ndf_mi.render.colours import misread
@@ -84,23 +85,17 @@ def scene_issues(scene: mi.Scene) -> list[str]:
 
 def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
     """How many directed edges of a triangle mesh have no opposite one, where vertices at the same place
-    count as one; 0 for a closed mesh.
+    count as one; 0 for a closed mesh, also where more than two triangles share an edge (trimesh's
+    `is_watertight` calls that open).
 
     Args:
         vertices: (V, 3).
         faces: (F, 3) integers.
     """
     _, same = np.unique(vertices, axis=0, return_inverse=True)
-    triangles = same.reshape(-1)[faces].astype(np.int64)
-    edges = np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)])
-    edges = edges[edges[:, 0] != edges[:, 1]]
-    count = int(same.max()) + 1
-    ahead, n_ahead = np.unique(edges[:, 0] * count + edges[:, 1], return_counts=True)
-    back, n_back = np.unique(edges[:, 1] * count + edges[:, 0], return_counts=True)
-    balance = dict(zip(ahead.tolist(), n_ahead.tolist(), strict=True))
-    return sum(
-        max(n - balance.get(edge, 0), 0) for edge, n in zip(back.tolist(), n_back.tolist(), strict=True)
-    )
+    edges = trimesh.geometry.faces_to_edges(same.reshape(-1)[faces])
+    ahead = trimesh.graph.edges_to_coo(edges, data=np.ones(len(edges), np.int64)).tocsr()
+    return int(abs(ahead - ahead.T).sum()) // 2
 
 
 def contains(scene: mi.Scene, shape: mi.Shape, points: np.ndarray) -> np.ndarray:

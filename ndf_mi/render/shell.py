@@ -236,13 +236,12 @@ def band_points(
         vertices: (V, 3) posed positions in metres.
         band, inside: metres.
     """
+    import trimesh  # Registering the plugins must not import it.
+
+    mesh = trimesh.Trimesh(vertices, surface.faces.numpy().reshape(-1, 3), process=False)
     rng = np.random.default_rng(seed)
-    faces = surface.faces.numpy().reshape(-1, 3)
-    corners = vertices[faces[rng.integers(len(faces), size=count)]].astype(np.float64)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    weights = rng.dirichlet((1, 1, 1), count)
-    return (weights[:, None] @ corners)[:, 0] + normal * rng.uniform(-inside, band, (count, 1))
+    points, triangle = trimesh.sample.sample_surface(mesh, count, np.ones(len(mesh.faces)), seed=rng)
+    return points + mesh.face_normals[triangle] * rng.uniform(-inside, band, (count, 1))
 
 
 def _centre(index: mi.UInt32, shape: tuple[int, ...], low: mi.Point3f, step: float) -> mi.Point3f:

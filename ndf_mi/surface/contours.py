@@ -18,7 +18,9 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import trimesh
 
+from ndf_mi.body.mesh import opposite_half_edges
 from ndf_mi.capture.camera import Camera
 from ndf_mi.surface.textured import Rectangle, TexturedSurface
 
@@ -62,26 +64,21 @@ class Contours:
     """
 
     def __init__(self, faces: np.ndarray) -> None:
-        corners = faces.astype(np.int64)
-        edges = np.concatenate([corners[:, [i, (i + 1) % 3]] for i in range(3)])
-        opposite = np.concatenate([corners[:, (i + 2) % 3] for i in range(3)])
-        face = np.tile(np.arange(len(corners)), 3)
-        unique, inverse, counts = np.unique(
-            np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
-        order = np.argsort(inverse.ravel(), kind="stable")
-        first = np.cumsum(counts) - counts
-        pairs = counts == 2
-        self._faces = corners
-        self._inner = unique[pairs]
-        self._wings = np.stack([face[order[first[pairs]]], face[order[first[pairs] + 1]]], axis=1)
-        self._opposite = opposite[order[first[pairs] + 1]]
-        self._boundary = unique[~pairs]
+        self._faces = faces.astype(np.int64)
+        edges = trimesh.geometry.faces_to_edges(faces)
+        opposite = opposite_half_edges(faces)
+        one = np.nonzero(opposite > np.arange(len(opposite)))[0]
+        other = opposite[one]
+        self._inner = edges[one]
+        self._wings = np.stack([one, other], axis=1) // 3
+        self._opposite = np.roll(self._faces, 1, axis=1).ravel()[other]
+        self._boundary = np.unique(np.sort(edges[opposite < 0], axis=1), axis=0)
 
     def edges(self, vertices: np.ndarray, camera: Camera) -> np.ndarray:
         """(E, 2) vertex indices of the contour edges of the mesh with these (V, 3) vertices, metres."""
-        a, b, c = (vertices[self._faces[:, corner]] for corner in range(3))
-        normals = np.cross(b - a, c - a)
-        facing = (normals * (camera.position - a)).sum(1) > 0
+        corners = vertices[self._faces]
+        normals = trimesh.triangles.cross(corners)
+        facing = (normals * (camera.position - corners[:, 0])).sum(1) > 0
         one, other = self._wings.T
         chosen = np.flatnonzero(facing[one] != facing[other])
         reach = vertices[self._opposite[chosen]] - vertices[self._inner[chosen, 0]]

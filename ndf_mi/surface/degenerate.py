@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sparse
+import trimesh
 
 MIN_QUALITY = 0.05
 """Smallest quality of a triangle, or smallest share of its quality at rest, whichever is lower."""
@@ -18,7 +18,7 @@ def triangle_quality(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     squared = sum(((q - p) ** 2).sum(1) for p, q in ((a, b), (b, c), (c, a)))
-    return 2 * np.sqrt(3) * np.linalg.norm(np.cross(b - a, c - a), axis=1) / np.maximum(squared, 1e-30)
+    return 4 * np.sqrt(3) * trimesh.triangles.area(vertices[faces]) / np.maximum(squared, 1e-30)
 
 
 def degenerate_triangles(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -30,7 +30,7 @@ def degenerate_triangles(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarra
         faces: (F, 3).
     """
     moved = rest + offsets
-    turned = (_normals(rest, faces) * _normals(moved, faces)).sum(1) < 0
+    turned = (trimesh.triangles.cross(rest[faces]) * trimesh.triangles.cross(moved[faces])).sum(1) < 0
     least = MIN_QUALITY * np.minimum(1, triangle_quality(rest, faces))
     return turned | (triangle_quality(moved, faces) < least)
 
@@ -48,25 +48,13 @@ def repair(rest: np.ndarray, offsets: np.ndarray, faces: np.ndarray,
         faces: (F, 3).
         known: (V, 3) offsets that make no triangle degenerate; zero by default.
     """
-    neighbours = _adjacency(faces, len(rest))
     offsets = np.array(offsets, dtype=np.float64, order="C")
     back = np.zeros_like(offsets) if known is None else known
     region = np.zeros(len(rest), dtype=bool)
     while (bad := degenerate_triangles(rest, offsets, faces)).any():
         region[faces[bad]] = True
-        region |= neighbours @ region
+        region[faces[region[faces].any(axis=1)]] = True
         if region.all():
             return np.array(back, dtype=np.float64)
         offsets[region] = back[region]
     return offsets
-
-
-def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    return np.cross(b - a, c - a)
-
-
-def _adjacency(faces: np.ndarray, count: int) -> sparse.csr_matrix:
-    """(V, V) bool: which vertices an edge joins."""
-    i, j = faces[:, [0, 1, 2]].ravel(), faces[:, [1, 2, 0]].ravel()
-    return sparse.csr_matrix((np.ones(2 * len(i), dtype=bool), (np.r_[i, j], np.r_[j, i])), (count, count))

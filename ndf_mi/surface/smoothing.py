@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sparse
+import trimesh
 from scipy.sparse.linalg import splu
 
 _WEIGHTS = (0.05, 20.0)
@@ -43,9 +44,7 @@ def cotangent_stiffness(vertices: np.ndarray, faces: np.ndarray) -> sparse.csc_m
 
 def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(V,) a third of the area of the triangles around each vertex, m², at least a millionth of the mean."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    areas = np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))
+    areas = trimesh.geometry.index_sparse(len(vertices), faces) @ trimesh.triangles.area(vertices[faces]) / 3
     return np.maximum(areas, 1e-6 * areas.mean())
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ndf_mi.body.mesh import vertex_normals
+from ndf_mi.body.mesh import opposite_half_edges, vertex_normals
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e6])
@@ -31,3 +31,11 @@ def test_normals_that_cancel_out_or_that_no_triangle_gives_are_zero() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]], dtype=np.float64)
     both_sides = np.array([[0, 1, 2], [0, 2, 1]])
     assert not vertex_normals(vertices, both_sides).any()
+
+
+def test_opposite_half_edges_of_two_triangles() -> None:
+    np.testing.assert_array_equal(opposite_half_edges(np.array([[0, 1, 2], [2, 1, 3]])), [-1, 3, -1, 1, -1, -1])
+
+
+def test_an_edge_of_three_triangles_has_no_opposite_half_edges() -> None:
+    assert (opposite_half_edges(np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])) == -1).all()

@@ -44,9 +44,8 @@ def test_mistakes_are_named(arguments, named, capsys):
     assert named in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("missing", ["pytest", "trimesh"])
-def test_a_missing_package_is_named_with_the_command_that_installs_it(missing, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, missing, None)
+def test_a_missing_package_is_named_with_the_command_that_installs_it(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "pytest", None)
     assert main(["stability", "--list"]) == 2
     printed = capsys.readouterr().err
-    assert missing in printed and 'pip install "ndf-mi[stability]"' in printed
+    assert "pytest" in printed and 'pip install "ndf-mi[stability]"' in printed

@@ -4,18 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from ndf_mi.projection.topology import build_tree, half_edges, pair_triangles
-
-
-def test_half_edges_of_two_triangles() -> None:
-    triangle, edge = half_edges(np.array([[0, 1, 2], [2, 1, 3]]))
-    np.testing.assert_array_equal(triangle, [[-1, 1, -1], [0, -1, -1]])
-    np.testing.assert_array_equal(edge, [[-1, 0, -1], [1, -1, -1]])
-
-
-def test_an_edge_of_three_triangles_has_no_neighbour() -> None:
-    triangle, _ = half_edges(np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]))
-    assert (triangle == -1).all()
+from ndf_mi.projection.topology import build_tree, pair_triangles
 
 
 @pytest.mark.parametrize(

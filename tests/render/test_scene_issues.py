@@ -77,6 +77,8 @@ def test_an_open_mesh_is_found(make_run, tmp_path):
     assert open_edges(ball.vertices, ball.faces) == 0
     ball.update_faces(np.arange(len(ball.faces)) != 7)
     assert open_edges(ball.vertices, ball.faces) == 3
+    touching = trimesh.util.concatenate([trimesh.creation.box(), trimesh.creation.box().apply_translation([1, 1, 0])])
+    assert open_edges(touching.vertices, touching.faces) == 0  # four triangles at the edge where they touch
     ball.export(tmp_path / "open.ply")
     scene = scene_of({"mine": {"type": "ply", "filename": str(tmp_path / "open.ply"), "bsdf": {"type": "null"},
                                "interior": {"type": "ndf", "run": str(run.path)}}})

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import trimesh
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 
 def edges_of(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Undirected edges (E, 2) of (F, 3) faces, and (F, 3) indices of each face's edges 01, 12, 20."""
-    corners = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64), axis=1)
-    count = int(faces.max()) + 1
-    keys, index = np.unique(corners[:, 0] * count + corners[:, 1], return_inverse=True)
-    return np.stack(np.divmod(keys, count), axis=1), index.reshape(-1, 3)
+    edges = np.sort(trimesh.geometry.faces_to_edges(faces), axis=1)
+    first, index = trimesh.grouping.unique_rows(edges[:, ::-1])  # in the order of the first column
+    return edges[first], index.reshape(-1, 3)
 
 
 def loop_subdivision(faces: np.ndarray, count: int) -> tuple[sparse.csr_matrix, np.ndarray]:
@@ -94,8 +94,8 @@ def clip(faces: np.ndarray, values: np.ndarray) -> tuple[sparse.csr_matrix, np.n
 
 def rim_distance(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(V,) distance in metres to the nearest vertex of the boundary; infinite for a closed mesh."""
-    edges, face_edges = edges_of(faces)
-    rim = np.unique(edges[np.bincount(face_edges.ravel(), minlength=len(edges)) == 1])
+    edges = np.sort(trimesh.geometry.faces_to_edges(faces), axis=1)
+    rim = np.unique(edges[trimesh.grouping.group_rows(edges, require_count=1)])
     return cKDTree(vertices[rim]).query(vertices)[0] if len(rim) else np.full(len(vertices), np.inf)
 
 
