@@ -16,7 +16,7 @@ from ndf_mi.methods.offset_mesh import OffsetMesh
 @pytest.fixture(scope="module")
 def trained(shrunk_capture) -> OffsetMesh:
     mesh = OffsetMesh(texture=32, rate=0.05, offset_rate=0.02)
-    mesh.fit(shrunk_capture, Budget(seconds=4.0, seed=1))
+    mesh.fit(shrunk_capture, Budget(seconds=8.0, seed=1))
     return mesh
 
 
@@ -34,7 +34,7 @@ def test_metadata(trained):
     assert known["offset_median_mm"] == pytest.approx(np.median(lengths)) and known["offset_median_mm"] > 20
     assert known["offset_max_mm"] == pytest.approx(lengths.max())
     assert (
-        known["budget"] == 4.0
+        known["budget"] == 8.0
         and known["steps"] > 5
         and known["tuned"] == {"rate": 0.05, "offset_rate": 0.02}
     )
