@@ -241,7 +241,7 @@ def band_points(
     mesh = trimesh.Trimesh(vertices, surface.faces.numpy().reshape(-1, 3), process=False)
     rng = np.random.default_rng(seed)
     points, triangle = trimesh.sample.sample_surface(mesh, count, np.ones(len(mesh.faces)), seed=rng)
-    return points + mesh.face_normals[triangle] * rng.uniform(-inside, band, (count, 1))
+    return np.asarray(points + mesh.face_normals[triangle] * rng.uniform(-inside, band, (count, 1)))
 
 
 def _centre(index: mi.UInt32, shape: tuple[int, ...], low: mi.Point3f, step: float) -> mi.Point3f:
