@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,6 @@ class Clip:
         joint_names: J names as in the file.
         parents: (J,) int32, -1 for the root, which comes first.
         offsets: (J, 3) float64, each joint relative to its parent at rest.
-        end_sites: joint index → (3,) offset of the end site below it.
         frame_time: seconds between frames.
         positions: (T, J, 3) float64, each joint relative to its parent, in the parent's frame.
         rotations: (T, J, 3, 3) float64, relative to the parent.
@@ -36,7 +35,6 @@ class Clip:
     joint_names: tuple[str, ...]
     parents: np.ndarray
     offsets: np.ndarray
-    end_sites: dict[int, np.ndarray]
     frame_time: float
     positions: np.ndarray
     rotations: np.ndarray
@@ -71,10 +69,10 @@ class Clip:
         weights = np.repeat(part, len(self.parents))[:, None]
         rotations = (first * Rotation.from_rotvec(turn.as_rotvec() * weights)).as_matrix()
         step = part[:, None, None]
-        return Clip(self.name, self.joint_names, self.parents, self.offsets, self.end_sites,
-                    float(np.mean(np.diff(times))) if len(times) > 1 else self.frame_time,
-                    (1 - step) * self.positions[before] + step * self.positions[after],
-                    rotations.reshape(len(times), -1, 3, 3))
+        frame_time = float(np.mean(np.diff(times))) if len(times) > 1 else self.frame_time
+        positions = (1 - step) * self.positions[before] + step * self.positions[after]
+        return replace(self, frame_time=frame_time, positions=positions,
+                       rotations=rotations.reshape(len(times), -1, 3, 3))
 
     def forward(self) -> tuple[np.ndarray, np.ndarray]:
         """World rotations (T, J, 3, 3) and joint positions (T, J, 3)."""
@@ -110,7 +108,6 @@ class _Skeleton:
     parents: list[int] = field(default_factory=list)
     offsets: list[list[float]] = field(default_factory=list)
     channels: list[list[str]] = field(default_factory=list)
-    ends: dict[int, np.ndarray] = field(default_factory=dict)
 
 
 class _Reader:
@@ -179,7 +176,7 @@ def _read_joints(reader: _Reader, skeleton: _Skeleton) -> None:
             case "END":
                 reader.expect("Site")
                 reader.expect("{")
-                skeleton.ends[joint] = np.array(_read_offset(reader))
+                _read_offset(reader)
                 reader.expect("}")
             case _:
                 raise InputError(reader.where, repr(word), expected)
@@ -240,7 +237,7 @@ def _read_motion(reader: _Reader, skeleton: _Skeleton) -> Clip:
     positions, rotations = _decode(skeleton, np.array(values))
     return Clip(name=reader.path.stem, joint_names=tuple(skeleton.names),
                 parents=np.array(skeleton.parents, dtype=np.int32), offsets=np.array(skeleton.offsets),
-                end_sites=skeleton.ends, frame_time=frame_time, positions=positions, rotations=rotations)
+                frame_time=frame_time, positions=positions, rotations=rotations)
 
 
 def _numbers(where: str, words: list[str], labels: list[str], frame: int) -> np.ndarray:

@@ -98,7 +98,7 @@ def read_amass(path: str | os.PathLike[str], up: Up = "z") -> Clip:
     positions = np.zeros((count, len(names), 3))
     positions[:, 0] = trans @ upright.T
     offsets = np.zeros((len(names), 3))
-    return Clip(path.stem, names, parents(names), offsets, {}, 1 / rate, positions, rotations)
+    return Clip(path.stem, names, parents(names), offsets, 1 / rate, positions, rotations)
 
 
 def _betas(path: Path) -> np.ndarray | None:

@@ -34,6 +34,7 @@ from ndf_mi.json_input import load_json, validated
 Finite = Annotated[float, Meta(ge=-1.7e308, le=1.7e308)]
 Vector = tuple[Finite, Finite, Finite]
 _VECTOR: Any = Vector
+_ROOT, _TRANSLATION = 0, -1
 
 
 class Keyframe(Struct, forbid_unknown_fields=True):
@@ -52,7 +53,7 @@ class Keyframes(Struct):
     fps: Annotated[float, Meta(gt=0, le=1.7e308)] = 30.0
 
 
-Track = tuple[list[float], list[np.ndarray]]
+Track = tuple[list[float], list[Vector]]
 """Times in seconds, and three numbers at each."""
 
 
@@ -73,15 +74,15 @@ def play_json(
             raise
         raise InputError(path, f"a file that cannot be read as JSON ({error})", "keyframes in JSON") from None
     joints = shaped_joints(body, shape)
-    rotations, root, translation = _tracks(path, document.frames, _indices(body))
+    tracks = _tracks(path, document.frames, _indices(body))
     fps = document.fps if fps is None else fps
     times = frame_times(document.frames[-1].time, fps)
+    root, translation = tracks.pop(_ROOT, None), tracks.pop(_TRANSLATION, None)
     pose = np.zeros((len(times), len(joints), 3))
-    for j, track in rotations.items():
+    for j, track in tracks.items():
         pose[:, j] = _turns(track, times).as_rotvec()
     turns = _turns(root, times)
-    path_of_root = _moves(translation, times)
-    origin = joints[0] - turns.apply(joints[0]) + path_of_root
+    origin = joints[0] - turns.apply(joints[0]) + _moves(translation, times)
     rotation = turns.as_rotvec().astype(np.float32)
     return Motion(pose.astype(np.float32), rotation, origin.astype(np.float32)), fps
 
@@ -89,57 +90,47 @@ def play_json(
 def _indices(body: Body) -> dict[str, int]:
     """All joints but the root, by their own names and by SMPL's."""
     own = body.joint_names or ()
-    names = {name: j
-             for j, name in enumerate(smpl_names(body) or [COUNTERPARTS.get(name, name) for name in own])}
-    names |= {name: j for j, name in enumerate(own)}
-    return {name: j for name, j in names.items() if j > 0}
+    smpl = smpl_names(body) or [COUNTERPARTS.get(name, name) for name in own]
+    return {name: j for names in (smpl, own) for j, name in enumerate(names) if j > 0}
 
 
-def _tracks(
-    path: Path, frames: list[Keyframe], indices: dict[str, int]
-) -> tuple[dict[int, Track], Track, Track]:
-    rotations: dict[int, Track] = {}
-    root: Track = ([], [])
-    translation: Track = ([], [])
+def _tracks(path: Path, frames: list[Keyframe], indices: dict[str, int]) -> dict[int, Track]:
+    """The tracks that have keyframes: of joints by index, of the root and the translation."""
+    tracks: dict[int, Track] = {}
     before = -1.0
     for i, frame in enumerate(frames):
         where = f"{path}: frames[{i}]"
         if frame.time <= before:
             raise InputError(f"{where}.time", f"{frame.time:g}", "seconds in ascending order")
         before = frame.time
+        found: dict[int, Vector | None] = {_ROOT: frame.root, _TRANSLATION: frame.translation}
         for name, value in frame.joints.items():
             if name not in indices:
                 raise InputError(f"{where}.joints", f"the joint {name!r}",
                                  f"a joint of the body other than its root: {', '.join(indices)}")
-            track = rotations.setdefault(indices[name], ([], []))
-            if track[0] and track[0][-1] == frame.time:
+            if indices[name] in found:
                 raise InputError(f"{where}.joints.{name}", "the same joint under two names",
                                  "each joint once in a keyframe")
-            _add(track, frame.time, validated(value, _VECTOR, f"{where}.joints.{name}"))
-        _add(root, frame.time, frame.root)
-        _add(translation, frame.time, frame.translation)
-    return rotations, root, translation
+            found[indices[name]] = validated(value, _VECTOR, f"{where}.joints.{name}")
+        for key, vector in found.items():
+            if vector is not None:
+                times, vectors = tracks.setdefault(key, ([], []))
+                times.append(frame.time)
+                vectors.append(vector)
+    return tracks
 
 
-def _add(track: Track, time: float, vector: Vector | None) -> None:
-    if vector is not None:
-        track[0].append(time)
-        track[1].append(np.array(vector))
-
-
-def _turns(track: Track, times: np.ndarray) -> Rotation:
-    at, vectors = track
-    if not at:
+def _turns(track: Track | None, times: np.ndarray) -> Rotation:
+    if track is None:
         return Rotation.identity(len(times))
+    at, vectors = track
     keys = Rotation.from_rotvec(np.array(vectors), degrees=True)
     if len(at) == 1:
         return keys[np.zeros(len(times), dtype=np.intp)]
     return Slerp(at, keys)(np.clip(times, at[0], at[-1]))
 
 
-def _moves(track: Track, times: np.ndarray) -> np.ndarray:
-    at, points = track
-    if not at:
+def _moves(track: Track | None, times: np.ndarray) -> np.ndarray:
+    if track is None:
         return np.zeros((len(times), 3))
-    columns = np.array(points).T
-    return np.stack([np.interp(times, at, column) for column in columns], axis=1)
+    return np.stack([np.interp(times, track[0], column) for column in np.array(track[1]).T], axis=1)

@@ -112,12 +112,8 @@ def as_cmu_rig(body: Body, clip: Clip) -> tuple[Body, Clip]:
 def cmu_clip(clip: Clip) -> Clip:
     """A clip of SMPL's joints as one of the 31 joints of the ``cmu_mb`` rig, with a T-pose at rest. Joints
     without a counterpart keep still relative to their parents. The path of the root is unchanged."""
-    above: dict[str, str] = {}
-    names = ["Hips"]
-    for chain in _CHAINS:
-        for upper, lower in zip(chain, chain[1:], strict=False):
-            above[lower] = upper
-            names.append(lower)
+    above = {lower: upper for chain in _CHAINS for upper, lower in zip(chain, chain[1:], strict=False)}
+    names = ["Hips", *above]
     rest = _rest_positions(names, above)
     offsets = np.array([rest[name] - rest[above[name]] if name in above else rest[name] for name in names])
     count = len(clip)
@@ -128,7 +124,7 @@ def cmu_clip(clip: Clip) -> Clip:
     positions = np.tile(offsets, (count, 1, 1))
     positions[:, 0] = clip.positions[:, 0]
     indices = np.array([names.index(above[name]) if name in above else -1 for name in names], dtype=np.int32)
-    return Clip(clip.name, tuple(names), indices, offsets, {}, clip.frame_time, positions, rotations)
+    return Clip(clip.name, tuple(names), indices, offsets, clip.frame_time, positions, rotations)
 
 
 def _rest_positions(names: list[str], above: dict[str, str]) -> dict[str, np.ndarray]:

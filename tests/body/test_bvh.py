@@ -45,7 +45,7 @@ def write(folder: Path, text: str) -> Path:
 def tips(clip: Clip) -> np.ndarray:
     """(T, 3): the end site below the forearm."""
     rotations, positions = clip.forward()
-    return positions[:, 1] + rotations[:, 1] @ clip.end_sites[1]
+    return positions[:, 1] + rotations[:, 1] @ [3, 0, 0]
 
 
 def test_arm(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_a_rig_of_its_own(small: Body) -> None:
     positions = np.tile(offsets, (6, 1, 1))
     positions[:, 0] = [[50 * row, 90 + 10 * row, -30 * row] for row in range(6)]
     rotations = Rotation.random(24, random_state=rng).as_matrix().reshape(6, 4, 3, 3)
-    clip = Clip("own", body.joint_names, body.parents, offsets, {}, 0.1, positions, rotations)
+    clip = Clip("own", body.joint_names, body.parents, offsets, 0.1, positions, rotations)
     motion = retarget(body, clip)
     _, source = clip.forward()
     have = np.array([[*posed_joints(body, motion, row).values()] for row in range(6)])
