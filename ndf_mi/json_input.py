@@ -19,21 +19,20 @@ _KINDS = {"int": "a whole number", "float": "a finite number", "str": "text", "b
 """The types in messages of msgspec, as other messages name them."""
 
 
-def load_json(path: Path) -> Any:
+def load_json(path: Path, expected: str, repair: str = "") -> Any:
     """The value in a JSON file.
 
     Raises:
-        FileNotFoundError: no such file.
-        ValueError: the file cannot be read, is not JSON, or is nested too deep for Python's reader.
+        InputError: with what is `expected`, if there is no such file, or it cannot be read, is not JSON, or is
+            nested too deep for Python's reader.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
-        raise
-    except OSError as error:
-        raise ValueError(error.strerror or str(error)) from None
-    except RecursionError:
-        raise ValueError("nested too deep") from None
+        raise InputError(path, "no such file", expected, repair) from None
+    except (OSError, ValueError, RecursionError) as error:
+        why = "nested too deep" if isinstance(error, RecursionError) else getattr(error, "strerror", error)
+        raise InputError(path, f"a file that cannot be read as JSON ({why})", expected, repair) from None
 
 
 def is_finite(value: Any) -> TypeGuard[int | float]:

@@ -14,21 +14,21 @@ from ndf_mi.json_input import is_finite, load_json, number, shown, validated
 
 def test_values_are_read(tmp_path):
     (tmp_path / "a.json").write_text('{"a": [1, 2.5]}', encoding="utf-8")
-    assert load_json(tmp_path / "a.json") == {"a": [1, 2.5]}
+    assert load_json(tmp_path / "a.json", "numbers") == {"a": [1, 2.5]}
 
 
 @pytest.mark.parametrize("text", ["{", "nothing", "[" * 100_000])
 def test_what_is_no_json_is_refused(tmp_path, text):
     (tmp_path / "a.json").write_text(text, encoding="utf-8")
-    with pytest.raises(ValueError):
-        load_json(tmp_path / "a.json")
+    with pytest.raises(InputError, match=r"a.json: found .*JSON.*; expected numbers\n  Write it."):
+        load_json(tmp_path / "a.json", "numbers", "Write it.")
 
 
 def test_missing_files_and_folders(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        load_json(tmp_path / "a.json")
-    with pytest.raises(ValueError):
-        load_json(tmp_path)
+    with pytest.raises(InputError, match=r"a.json: found no such file; expected numbers"):
+        load_json(tmp_path / "a.json", "numbers")
+    with pytest.raises(InputError, match="directory"):
+        load_json(tmp_path, "numbers")
 
 
 @pytest.mark.parametrize(("value", "finite"), [

@@ -83,12 +83,9 @@ def _captured(path: Path, name: str | None) -> Camera:
 
 
 def _load(path: Path) -> dict[str, Any]:
-    try:
-        document = load_json(path)
-    except FileNotFoundError:
-        raise InputError("--camera", str(path), "orbit, CAPTURE:NAME, or a JSON file of cameras") from None
-    except ValueError as error:
-        raise InputError(path, f"a file that cannot be read as JSON ({error})", "cameras in JSON") from None
+    if not path.exists():
+        raise InputError("--camera", str(path), "orbit, CAPTURE:NAME, or a JSON file of cameras")
+    document = load_json(path, "cameras in JSON")
     if not isinstance(document, dict):
         raise InputError(path, f"a {type(document).__name__}", "an object")
     return document

@@ -67,12 +67,7 @@ def play_json(
             not ascend, no keyframe, or something else than three finite numbers.
     """
     path = Path(path)
-    try:
-        document = validated(load_json(path), Keyframes, str(path))
-    except (FileNotFoundError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(path, f"a file that cannot be read as JSON ({error})", "keyframes in JSON") from None
+    document = validated(load_json(path, "keyframes in JSON"), Keyframes, str(path))
     joints = shaped_joints(body, shape)
     tracks = _tracks(path, document.frames, _indices(body))
     fps = document.fps if fps is None else fps

@@ -23,6 +23,7 @@ IMAGE_PATTERN = "images/{camera}/{frame:06d}.png"
 MASK_PATTERN = "masks/{camera}/{frame:06d}.png"
 
 _DISTORTION = ("k1", "k2", "k3", "p1", "p2")
+_REPAIR = "Make a capture with: ndf-mi capture synthesise OUT"
 #: Names that are folders on any system, inside the capture.
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
 
@@ -184,8 +185,14 @@ def read_document(folder: Path) -> Document:
 def parse_document(folder: Path) -> tuple[Document | None, list[InputError]]:
     """Reads ``folder/capture.json``: the document and no issues, or None and all issues."""
     issues = Issues(folder / FILE_NAME)
-    raw = _load(issues, folder)
-    if raw is None or not _is_known(raw, issues):
+    try:
+        raw = load_json(issues.file, "a capture's description", _REPAIR)
+    except InputError as error:
+        found = error.found if folder.is_dir() else "no such folder"
+        return None, [InputError(error.where, found, error.expected, error.repair)]
+    if not isinstance(raw, dict):
+        issues.add("", shown(raw), "a JSON object")
+    if issues.found or not _is_known(raw, issues):
         return None, issues.found
     name = issues.read(raw.get("name"), Text, "name")
     if raw.get("units") != "m":
@@ -200,22 +207,6 @@ def parse_document(folder: Path) -> tuple[Document | None, list[InputError]]:
     if issues.found:
         return None, issues.found
     return Document(name, background, cameras, splits, image_pattern, mask_pattern, lighting, imported), []
-
-
-def _load(issues: Issues, folder: Path) -> dict[str, Any] | None:
-    try:
-        raw = load_json(issues.file)
-    except FileNotFoundError:
-        found = "no such file" if folder.is_dir() else "no such folder"
-        issues.add("", found, "a capture's description", "Make a capture with: ndf-mi capture synthesise OUT")
-        return None
-    except ValueError as error:
-        issues.add("", f"a file that cannot be read as JSON ({error})", "a JSON object, UTF-8")
-        return None
-    if not isinstance(raw, dict):
-        issues.add("", shown(raw), "a JSON object")
-        return None
-    return raw
 
 
 def _is_known(raw: dict[str, Any], issues: Issues) -> bool:

@@ -140,10 +140,7 @@ def read_entries(file: Path, study: str) -> dict[str, Entry]:
     Raises:
         InputError: it is not a file of such a study, or is damaged.
     """
-    try:
-        found = load_json(file)
-    except (OSError, ValueError) as error:
-        raise InputError(file, f"a file that cannot be read ({error})", f"a {FORMAT} file", REPAIR) from None
+    found = load_json(file, f"a {FORMAT} file", REPAIR)
     if isinstance(found, dict) and version1.is_old(found):
         found = version1.converted(found, study, file)
     document = validated(found, Document, str(file), REPAIR)

@@ -119,14 +119,7 @@ def read_preset(path: Path, digest: str) -> tuple[Preset, dict[str, Any]]:
         InputError: there is no such file, it is no plan, its preset is invalid, or it was made for another
             capture.
     """
-    try:
-        value = load_json(path)
-    except FileNotFoundError:
-        raise InputError(path, "no such file",
-                         "`auto`, or a plan made by `ndf-mi plan CAPTURE -o FILE`") from None
-    except ValueError as error:
-        raise InputError(path, f"a file that cannot be read as JSON ({error})",
-                         "a plan made by `ndf-mi plan`") from None
+    value = load_json(path, "`auto`, or a plan made by `ndf-mi plan CAPTURE -o FILE`")
     if not isinstance(value, dict) or value.get("format") != FORMAT:
         found = value.get("format") if isinstance(value, dict) else value
         raise InputError(f"{path}: format", shown(found), f'"{FORMAT}"')

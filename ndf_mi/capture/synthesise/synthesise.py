@@ -123,8 +123,8 @@ def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
         raise InputError(out, f"a folder with other contents ({', '.join(names[:4])})",
                          "a new or empty folder")
     if not overwrite:
-        with contextlib.suppress(OSError, ValueError):
-            if load_json(out / SETTINGS_FILE) == made_with:
+        with contextlib.suppress(InputError):
+            if load_json(out / SETTINGS_FILE, "settings") == made_with:
                 return
         raise InputError(out, "a capture made with other settings",
                          f"a new or empty folder, or one with the same settings in {SETTINGS_FILE}",
