@@ -44,8 +44,7 @@ import mitsuba as mi  # noqa: E402
 from ndf_mi import files, machine  # noqa: E402
 from ndf_mi.body.body import Body  # noqa: E402
 from ndf_mi.body.poses import Poses  # noqa: E402
-from ndf_mi.capture.camera import Camera  # noqa: E402
-from ndf_mi.capture.viewpoint import framing  # noqa: E402
+from ndf_mi.capture.camera import Camera, framing  # noqa: E402
 from ndf_mi.experiments.trade.growth import fit_growth  # noqa: E402
 from ndf_mi.experiments.trade.memory import MEANING, peak_memory  # noqa: E402
 from ndf_mi.model import networks_here  # noqa: E402

@@ -24,6 +24,7 @@ from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.errors import InputError
 from ndf_mi.field import Field, FieldParameters, Preset
+from ndf_mi.json_input import load_json
 from ndf_mi.model import Model, PosedModel
 from ndf_mi.projection import PosedSurface
 
@@ -199,12 +200,7 @@ class Run:
 
 
 def _read_config(path: Path) -> dict[str, Any]:
-    try:
-        config = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(path, "no such file", "a run made by `ndf-mi optimise`") from None
-    except (OSError, ValueError) as error:
-        raise InputError(path, f"a file that cannot be read ({error})", "JSON") from None
+    config = load_json(path, "a run made by `ndf-mi optimise`")
     if not isinstance(config, dict) or config.get("format") != FORMAT:
         found = config.get("format") if isinstance(config, dict) else type(config).__name__
         raise InputError(f"{path}: format", repr(found), repr(FORMAT))

@@ -18,7 +18,6 @@ BY_NAME = {
 """What packages import by name."""
 
 ELSEWHERE = {
-    "ndf_mi.capture.viewpoint": "render/test_tuner.py",
     "ndf_mi.experiments.relight": "experiments/test_relight.py",
     "ndf_mi.field.sample": "render/test_quadrature.py",
     "ndf_mi.render.output": "commands/test_render.py",

@@ -10,9 +10,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from ndf_mi.animate.keyframes import interpolated, read_keyframes
-from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.camera import Camera, framing
 from ndf_mi.capture.document import FILE_NAME, read_document
-from ndf_mi.capture.viewpoint import framing
 from ndf_mi.errors import InputError
 from ndf_mi.json_input import load_json
 
@@ -29,7 +28,7 @@ def orbit(boxes: np.ndarray, w: int, h: int, fps: float, *, turns: float = 1.0, 
         w, h: image size in pixels.
         fps: frames a second; a Gaussian of half a second smooths the path of the box's centre.
         turns: full turns over all T frames, anticlockwise seen from above; 0 keeps the direction.
-        azimuth, elevation: degrees at the first frame, as in `ndf_mi.capture.viewpoint.framing`.
+        azimuth, elevation: degrees at the first frame, as in `ndf_mi.capture.camera.framing`.
     """
     boxes = boxes.astype(np.float64)
     centres = boxes.mean(1)

@@ -16,6 +16,9 @@ _GL_FROM_MITSUBA = np.diag([-1.0, 1.0, -1.0, 1.0])
 #: Largest relative difference of fl_x and fl_y for square pixels: below 1e-3 pixels in 1000.
 _SQUARE = 1e-6
 
+#: Field of view of `framing` in radians, and the part of the image that the body fills.
+_FRAMED, _FILL = math.radians(35.0), 0.8
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -172,3 +175,44 @@ def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
 def is_rotation(matrix: np.ndarray) -> bool:
     """Whether a (3, 3) matrix is a rotation, within 1e-3."""
     return np.abs(matrix @ matrix.T - np.eye(3)).max() <= 1e-3 and np.linalg.det(matrix) > 0
+
+
+def framing(vertices: np.ndarray, w: int, h: int, azimuth: float = 0.0, elevation: float = 5.0) -> Camera:
+    """A pinhole camera aimed at the middle of a body, which fills most of the image: for pictures without a
+    capture's cameras.
+
+    Args:
+        vertices: (V, 3) posed body in metres, y up.
+        w, h: image size in pixels.
+        azimuth: degrees around the vertical axis, anticlockwise seen from above; 0 looks along −z.
+        elevation: degrees above the horizon, in (−90, 90).
+    """
+    low, high = vertices.min(0).astype(np.float64), vertices.max(0).astype(np.float64)
+    centre = 0.5 * (low + high)
+    radius = 0.5 * float(np.linalg.norm(high - low))
+    focal = 0.5 * min(w, h) / math.tan(0.5 * _FRAMED)
+    distance = radius / (_FILL * math.sin(0.5 * _FRAMED))
+    a, e = math.radians(azimuth), math.radians(elevation)
+    back = np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
+    transform = look_at(centre + distance * back, centre)
+    return Camera(f"azimuth{azimuth:g}", w, h, focal, focal, w / 2, h / 2, transform)
+
+
+def pixel_rays(camera: Camera, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and unit directions, (3, N) float64, of the rays of a pinhole camera through the centres of
+    ``pixels``, (N,) indices row by row; in numpy, for sampling and masks, where no kernel is needed."""
+    y, x = np.divmod(pixels.astype(np.int64), camera.w)
+    local = np.stack([(x + 0.5 - camera.cx) / camera.fl_x, (camera.cy - y - 0.5) / camera.fl_y,
+                      -np.ones(len(pixels))])
+    direction = np.asarray(camera.transform, dtype=np.float64)[:3, :3] @ local
+    origin = np.broadcast_to(camera.position[:, None], direction.shape)
+    return origin, direction / np.linalg.norm(direction, axis=0)
+
+
+def box_pixels(camera: Camera, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(h, w) bool: pixels whose ray meets the box [low, high] in front of the camera."""
+    origin, direction = pixel_rays(camera, np.arange(camera.w * camera.h))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (low[:, None] - origin) / direction, (high[:, None] - origin) / direction
+    near, far = np.fmin(a, b).max(0), np.fmax(a, b).min(0)
+    return (far > np.maximum(near, 0)).reshape(camera.h, camera.w)

@@ -150,8 +150,8 @@ class Render:
             None if self.error is None else parse_decibel(self.error))
 
     def _camera(self, run: Run, frame: int) -> Camera:
+        from ndf_mi.capture.camera import framing
         from ndf_mi.capture.capture import Capture
-        from ndf_mi.capture.viewpoint import framing
 
         if self.capture is not None:
             cameras = Capture.read(self.capture).cameras

@@ -12,8 +12,7 @@ import numpy as np
 from skimage.metrics import structural_similarity
 
 from ndf_mi.body.box import BOX_PADDING, padded_box
-from ndf_mi.capture.camera import Camera
-from ndf_mi.capture.pixels import box_pixels
+from ndf_mi.capture.camera import Camera, box_pixels
 from ndf_mi.optional import require
 
 SSIM_WINDOW = 7

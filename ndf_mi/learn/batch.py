@@ -8,8 +8,8 @@ import mitsuba as mi
 import numpy as np
 from scipy import ndimage
 
+from ndf_mi.capture.camera import box_pixels, pixel_rays
 from ndf_mi.capture.capture import Capture
-from ndf_mi.capture.pixels import box_pixels, pixel_rays
 from ndf_mi.errors import InputError
 from ndf_mi.learn.options import TrainingOptions
 

@@ -12,9 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.body.box import BOX_PADDING, padded_box
-from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.camera import Camera, box_pixels
 from ndf_mi.capture.capture import Capture
-from ndf_mi.capture.pixels import box_pixels
 from ndf_mi.errors import InputError
 from ndf_mi.learn.loop import expect_capture
 from ndf_mi.learn.scattering import SCATTERING

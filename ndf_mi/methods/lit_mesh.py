@@ -11,9 +11,8 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.body.box import BOX_PADDING, padded_box
-from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.camera import Camera, box_pixels
 from ndf_mi.capture.capture import Capture
-from ndf_mi.capture.pixels import box_pixels
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.methods.base import Budget, Light, Progress
 from ndf_mi.methods.lit import noise_psnr

@@ -10,9 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ndf_mi.body.box import padded_box
-from ndf_mi.capture.camera import Camera
-from ndf_mi.capture.pixels import box_pixels
-from ndf_mi.capture.viewpoint import framing
+from ndf_mi.capture.camera import Camera, box_pixels, framing
 from ndf_mi.render.cost import Sample
 from ndf_mi.render.image import Work
 from ndf_mi.render.settings import Setting, converged

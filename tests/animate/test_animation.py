@@ -14,7 +14,7 @@ from ndf_mi.animate.animation import Animation, boxes
 from ndf_mi.animate.frames import FrameFolder
 from ndf_mi.animate.shape import parse_shape
 from ndf_mi.body.motion_file import read_performance
-from ndf_mi.capture.viewpoint import framing
+from ndf_mi.capture.camera import framing
 from ndf_mi.render.image import ImageRenderer
 from ndf_mi.run import Run
 

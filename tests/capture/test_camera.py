@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.camera import Camera, box_pixels, pixel_rays
 from ndf_mi.capture.images import undistort_image, undistort_mask
 from ndf_mi.mitsuba_mesh import make_mesh
 
@@ -159,3 +159,24 @@ def test_undistortion_moves_a_blob_to_where_the_pinhole_camera_sees_it() -> None
     mask = undistort_mask(blob > 0.5, camera)
     centre = [columns[mask].mean(), rows[mask].mean()]
     np.testing.assert_allclose(centre, camera.pinhole().project(inner)[0], atol=0.5)
+
+
+def test_pixel_rays_agree_with_the_cameras_own(capture):
+    camera = capture.cameras["c1"]
+    pixels = np.array([0, 17, camera.w * camera.h - 1])
+    _, direction = pixel_rays(camera, pixels)
+    y, x = np.divmod(pixels, camera.w)
+    ray = camera.rays(mi.Point2f(mi.Float((x + 0.5).astype(np.float32)),
+                                 mi.Float((y + 0.5).astype(np.float32))))
+    np.testing.assert_allclose(np.array(ray.d), direction, atol=1e-6)
+    points = camera.position + 2 * direction.T
+    np.testing.assert_allclose(camera.project(points), np.stack([x, y], -1) + 0.5, atol=1e-6)
+
+
+def test_box_pixels_cover_the_boxs_corners(capture):
+    camera = capture.cameras["c0"]
+    low, high = np.full(3, -0.3), np.full(3, 0.3)
+    mask = box_pixels(camera, low, high)
+    corners = np.stack(np.meshgrid(*np.stack([0.9 * low, 0.9 * high], -1)), -1).reshape(-1, 3)
+    x, y = np.floor(camera.project(corners)).astype(int).T
+    assert mask[y, x].all() and not mask[0].any() and not mask[:, -1].any()

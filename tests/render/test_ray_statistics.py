@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ndf_mi.capture.viewpoint import framing
+from ndf_mi.capture.camera import framing
 from ndf_mi.render.ray_statistics import ROUNDS, RayStatistics, probe
 from ndf_mi.render.settings import Setting
 

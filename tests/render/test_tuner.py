@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from known_profile import known_profile, statistics
 
-from ndf_mi.capture.viewpoint import framing
+from ndf_mi.capture.camera import framing
 from ndf_mi.commands import main
 from ndf_mi.errors import InputError
 from ndf_mi.render import profile

@@ -10,8 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.body.box import BOX_PADDING, padded_box
-from ndf_mi.capture.camera import Camera
-from ndf_mi.capture.pixels import box_pixels
+from ndf_mi.capture.camera import Camera, box_pixels
 from ndf_mi.experiments.trade.points import PathSetting
 from ndf_mi.methods.lit import LitRenderer
 from ndf_mi.methods.lit_field import LAYERS
