@@ -24,6 +24,9 @@ from ndf_mi.errors import InputError
 PRESET_FIELDS: Mapping[str, str] = {"strata": "sample_factor"}
 """Old name → name of fields of :class:`ndf_mi.field.Preset`."""
 
+PRESET_VALUES: Mapping[str, Mapping[Any, str]] = {"coordinates": {"texel": "uv"}}
+"""Field of :class:`ndf_mi.field.Preset` → old value → value."""
+
 TRAINING_FIELDS: Mapping[str, str] = {"skip_hidden": "min_transmittance"}
 """Old name → name of fields of :class:`ndf_mi.learn.options.TrainingOptions`."""
 
@@ -110,14 +113,23 @@ def rename_parameter(props: Any, plugin: str, old: str, new: str) -> None:
     del props[old]
 
 
-def rename_entries(values: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
-    """Entries read from a file, with old keys replaced by new ones. Where both are there, the new one wins.
+def rename_entries(
+    values: Mapping[str, Any], names: Mapping[str, str],
+    contents: Mapping[str, Mapping[Any, str]] | None = None,
+) -> dict[str, Any]:
+    """Entries read from a file, with old keys and values replaced by new ones. Where an old and its new key
+    are there, the new one wins.
 
     Args:
         names: old key → new key, such as :data:`PRESET_FIELDS`.
+        contents: key → old value → new value, such as :data:`PRESET_VALUES`.
     """
     renamed = {names[key]: value for key, value in values.items() if key in names}
-    return renamed | {key: value for key, value in values.items() if key not in names}
+    renamed |= {key: value for key, value in values.items() if key not in names}
+    for key, replacements in (contents or {}).items():
+        if isinstance(renamed.get(key), str):
+            renamed[key] = replacements.get(renamed[key], renamed[key])
+    return renamed
 
 
 def rename_entry(name: str, names: Mapping[str, str]) -> str:

@@ -61,7 +61,7 @@ def test_the_world_is_one_cube_around_all_poses():
     np.testing.assert_allclose(values, (x - low) / extent, atol=1e-3)
 
 
-@pytest.mark.parametrize("kind", ["texel", "surface", "world"])
+@pytest.mark.parametrize("kind", ["uv", "surface", "world"])
 def test_every_kind_is_attached_to_the_point_and_finite_where_masked(kind):
     body, poses = ball()
     surface = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0]), mi.Float(poses.vertices[0].ravel()), 0.08)

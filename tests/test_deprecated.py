@@ -55,6 +55,8 @@ def test_entries_of_files(capsys):
     found = deprecated.rename_entries({"old": 1, "kept": 2}, {"old": "new"})
     assert found == {"new": 1, "kept": 2}
     assert deprecated.rename_entries({"new": 3, "old": 1}, {"old": "new"}) == {"new": 3}
+    found = deprecated.rename_entries({"old": "a", "kept": "a"}, {"old": "new"}, {"new": {"a": "b"}})
+    assert found == {"new": "b", "kept": "a"}
     assert capsys.readouterr().err == ""
 
 

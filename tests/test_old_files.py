@@ -111,6 +111,7 @@ def test_an_ablation_keeps_its_runs(old: Path) -> None:
         "grid_entries=256",
         "direction_octaves=-1",
         "strata=2",
+        "coordinates=texel",
         "rays=256",
         "samples=24",
     ]

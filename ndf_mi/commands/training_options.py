@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from ndf_mi.deprecated import PRESET_FIELDS, TRAINING_FIELDS, rename_entry
+from ndf_mi.deprecated import PRESET_FIELDS, PRESET_VALUES, TRAINING_FIELDS, rename_entry
 from ndf_mi.errors import InputError
 from ndf_mi.field import PRESETS, Preset, preset
 from ndf_mi.learn.ablations import ABLATIONS, ablation
@@ -79,7 +79,10 @@ def configured(
         if not equals or name not in NAMES:
             raise InputError("--option", repr(text), "NAME=VALUE, NAME one of " + ", ".join(NAMES))
         options = Preset if name in _ARCHITECTURE else TrainingOptions
-        changes[name] = option_value(options, name, _parsed(value), "--option")
+        parsed = _parsed(value)
+        if isinstance(parsed, str):
+            parsed = rename_entry(parsed, PRESET_VALUES.get(name, {}))
+        changes[name] = option_value(options, name, parsed, "--option")
     return (dataclasses.replace(base,
                                 **{name: value for name, value in changes.items() if name in _ARCHITECTURE}),
             dataclasses.replace(training,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from ndf_mi.deprecated import PRESET_FIELDS, rename_entries
+from ndf_mi.deprecated import PRESET_FIELDS, PRESET_VALUES, rename_entries
 from ndf_mi.errors import InputError
 from ndf_mi.options import read_options
 
@@ -32,9 +32,9 @@ class Preset:
     """Fraction of the band, at both its edges, over which the density fades smoothly to zero, so that the
     field is continuous; 0 for the paper's hard edge."""
 
-    coordinates: Literal["texel", "surface", "world"] = "texel"
-    """The networks' coordinates: `texel`, texture coordinates (u, v) of the closest point, and l; `surface`,
-    the closest point on the body at rest (x, y, z), which has no seams, and l; or `world`, the point itself
+    coordinates: Literal["uv", "surface", "world"] = "uv"
+    """The networks' coordinates: `uv`, texture coordinates (u, v) of the closest point, and l; `surface`, the
+    closest point on the body at rest (x, y, z), which has no seams, and l; or `world`, the point itself
     (x, y, z), without projection."""
 
     distance: Literal["signed", "unsigned", "none"] = "signed"
@@ -178,7 +178,7 @@ class Preset:
     @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "preset") -> Preset:
         """The inverse of :meth:`to_dict`. Raises InputError for an option that does not exist."""
-        return read_options(cls, rename_entries(values, PRESET_FIELDS), where)
+        return read_options(cls, rename_entries(values, PRESET_FIELDS, PRESET_VALUES), where)
 
 
 #: Options that older files lack, and their defaults.
