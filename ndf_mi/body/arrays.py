@@ -30,10 +30,9 @@ def read_npz(
         if not isinstance(loaded, np.lib.npyio.NpzFile):
             raise InputError(path, "a single array", "an .npz file")
         with loaded as archive:
-            for key in required:
-                if key not in archive.files:
-                    present = ", ".join(archive.files) or "nothing"
-                    raise InputError(f"{path}: {key}", f"only {present}", f"an array {key!r}")
+            for key in (key for key in required if key not in archive.files):
+                present = ", ".join(archive.files) or "nothing"
+                raise InputError(f"{path}: {key}", f"only {present}", f"an array {key!r}")
             return {key: _load(path, archive, key) for key in (*required, *optional) if key in archive.files}
     except InputError:
         raise
@@ -52,11 +51,8 @@ def _load(path: Path, archive: np.lib.npyio.NpzFile, key: str) -> np.ndarray:
 
 
 def regular(where: str, value: Any) -> np.ndarray:
-    """``value``, an array or nested lists of numbers, as an array.
-
-    Raises:
-        InputError: rows of unequal length, or something else than numbers in a list.
-    """
+    """``value``, an array or nested lists, as an array; InputError if rows have unequal lengths, or a list
+    holds something else than numbers."""
     if isinstance(value, list | tuple) and not _numbers(value):
         raise InputError(where, "something else than numbers", "an array of numbers")
     try:
@@ -72,11 +68,8 @@ def _numbers(values: Sequence[Any]) -> bool:
 
 
 def floats(where: str, array: np.ndarray, shape: Sequence[int | None]) -> np.ndarray:
-    """``array`` as contiguous float32, checked against ``shape`` (None: any length) and for NaN and infinity.
-
-    Raises:
-        InputError: at ``where``, with what was found and expected.
-    """
+    """``array`` as contiguous float32; InputError at ``where`` unless it has ``shape`` (None: any length), and
+    numbers that are finite."""
     array = np.asarray(array)
     if array.dtype.kind not in "fiu":
         raise InputError(where, f"type {array.dtype}", "float32")

@@ -110,23 +110,19 @@ def retarget(body: Body, clip: Clip, times: np.ndarray | Sequence[float] | None 
 
 
 def pose_sequence(body: Body, clip: Clip, frames: Sequence[int] | np.ndarray | None = None, *,
-                  rate: float = 30.0, first: int = 0, shape: np.ndarray | Sequence[float] | None = None,
+                  rate: float = 30.0, shape: np.ndarray | Sequence[float] | None = None,
                   place: Place = "world") -> Poses:
-    """`Poses` of ``body`` playing ``clip``, skinned; frame f shows the clip at (f - first)/rate seconds.
+    """`Poses` of ``body`` playing ``clip``, skinned; frame f shows the clip at f/rate seconds.
 
     Args:
         frames: frame numbers, ascending; by default all of the clip.
         rate: frames a second.
-        first: the frame number where the clip begins.
-        shape, place: as in `retarget`.
-
-    Raises:
-        InputError: as `retarget`; or a frame is outside the clip.
+        shape, place: as in `retarget`, also for errors.
     """
     if frames is None:
-        frames = first + np.arange(int(np.floor(clip.duration * rate + 1e-3)) + 1)
+        frames = np.arange(int(np.floor(clip.duration * rate + 1e-3)) + 1)
     frames = np.asarray(frames, dtype=np.int32)
-    motion = retarget(body, clip, (frames - first) / rate, shape=shape, place=place)
+    motion = retarget(body, clip, frames / rate, shape=shape, place=place)
     coefficients = None if shape is None else np.asarray(shape, dtype=np.float32)
     rows = zip(motion.pose, motion.root_rotation, motion.translation, strict=True)
     vertices = np.stack([np.asarray(skin(body, *row, coefficients)).reshape(-1, 3) for row in rows])
@@ -134,11 +130,8 @@ def pose_sequence(body: Body, clip: Clip, frames: Sequence[int] | np.ndarray | N
 
 
 def frame_times(duration: float, fps: float) -> np.ndarray:
-    """(T,) the times of the frames in a motion of ``duration`` seconds, the first at 0.
-
-    Raises:
-        InputError: there would be more than `MOST_FRAMES`.
-    """
+    """(T,) the times of the frames in a motion of ``duration`` seconds, the first at 0; InputError if there
+    would be more than `MOST_FRAMES`."""
     if not duration * fps < MOST_FRAMES:
         raise InputError("motion", f"{duration:g} s at {fps:g} frames a second",
                          f"at most {MOST_FRAMES:,} frames",
@@ -158,11 +151,7 @@ def require_finite(where: str, values: np.ndarray, names: Sequence[str],
 
 
 def shaped_joints(body: Body, shape: np.ndarray | Sequence[float] | None = None) -> np.ndarray:
-    """(J, 3) float64 rest joints at a shape.
-
-    Raises:
-        InputError: the body has no rig, or another number of coefficients.
-    """
+    """(J, 3) float64 rest joints at a shape; InputError if the body has no rig, or other coefficients."""
     if not body.skinned:
         raise InputError("body", "no skinning model", "a body with joints, parents and weights")
     joints = np.asarray(body.joints, dtype=np.float64)
@@ -193,9 +182,9 @@ def _alignment(
     body: Body, clip: Clip, joints: np.ndarray, columns: list[int], alike: Collection[str]
 ) -> np.ndarray:
     """(J, 3, 3) rotations from the body's rest pose to the clip's; each joint inherits its parent's."""
-    rest = np.zeros((len(clip.parents), 3))
+    rest = clip.offsets.copy()
     for j, p in enumerate(clip.parents):
-        rest[j] = clip.offsets[j] + (rest[p] if p >= 0 else 0)
+        rest[j] += rest[p] if p >= 0 else 0
     names = body.joint_names or ()
     turns = np.tile(np.eye(3), (len(names), 1, 1))
     for j, (name, parent) in enumerate(zip(names, body.parents, strict=True)):  # type: ignore[arg-type]
@@ -260,9 +249,9 @@ def _hip_centre(body: Body, motion: Motion, joints: np.ndarray) -> np.ndarray:
 
 def _legs(body: Body) -> list[list[int]]:
     """The joints of `LEGS`, leg by leg; none if the rig lacks one of them."""
-    names = list(body.joint_names or ())
-    known = all(name in names for leg in LEGS for name in leg)
-    return [[names.index(name) for name in leg] for leg in LEGS] if known else []
+    place = {name: j for j, name in enumerate(body.joint_names or ())}
+    known = all(name in place for leg in LEGS for name in leg)
+    return [[place[name] for name in leg] for leg in LEGS] if known else []
 
 
 def _hips(body: Body) -> list[int]:
@@ -272,10 +261,9 @@ def _hips(body: Body) -> list[int]:
 
 def _bones(body: Body) -> list[tuple[int, int]]:
     """The pairs of joints whose distances give the body's size: along the legs, or else all bones."""
-    legs = _legs(body)
-    parents = enumerate(body.parents.tolist())  # type: ignore[union-attr]
-    along_legs = [pair for leg in legs for pair in zip(leg, leg[1:], strict=False)]
-    return along_legs or [(p, j) for j, p in parents if p >= 0]
+    assert body.parents is not None
+    along_legs = [pair for leg in _legs(body) for pair in zip(leg, leg[1:], strict=False)]
+    return along_legs or [(p, j) for j, p in enumerate(body.parents.tolist()) if p >= 0]
 
 
 def _length(bones: Sequence[tuple[int, int]], at: np.ndarray) -> float:

@@ -28,13 +28,12 @@ _SMALL = 1e-2  # rad²: below it the series' relative error, 1e-9, is below that
 
 @dataclass(frozen=True)
 class JointTransforms:
-    """The transforms of a body's joints in one pose.
+    """The transforms of a body's joints in one pose, as flat mi.Float.
 
     Attributes:
-        matrices: flat mi.Float, J × 3 rows × 4: from rest to world space, with root rotation and translation.
-        shape: flat mi.Float of B coefficients, or None.
-        features: flat mi.Float, 9·(J-1): R(θ_j) - I of all joints but the root, row by row; None without
-            pose_dirs.
+        matrices: J × 3 rows × 4: from rest to world space, with root rotation and translation.
+        shape: B coefficients, or None.
+        features: 9·(J-1): R(θ_j) - I of all joints but the root, row by row; None without pose_dirs.
     """
 
     matrices: Any
@@ -176,8 +175,7 @@ def _prepared(body: Body) -> _Prepared:
             raise InputError("body", f"no {', '.join(missing)}", "a body with a skinning model")
         assert body.template is not None and body.weights is not None
         assert body.parents is not None and body.joints is not None
-        parents = np.asarray(body.parents)
-        own = np.arange(len(parents))
+        parents, own = body.parents, np.arange(len(body.parents))
         rounds = []
         ancestors = parents.copy()
         while (ancestors >= 0).any():
@@ -198,12 +196,11 @@ def _prepared(body: Body) -> _Prepared:
 def _chain(rows: list[Any], ancestors: Any, ends: Any) -> list[Any]:
     """Each joint's transform followed by its ancestor's; unchanged where the chain ``ends`` at the root."""
     flat = _interleave([rows[i][k] for i in range(3) for k in range(4)], dr.width(ancestors))
-    upper = [dr.gather(mi.Vector4f, flat, ancestors * 3 + i) for i in range(3)]
     out = []
-    for i in range(3):
-        u = upper[i]
+    for i, own in enumerate(rows):
+        u = dr.gather(mi.Vector4f, flat, ancestors * 3 + i)
         row = u.x * rows[0] + u.y * rows[1] + u.z * rows[2] + mi.Vector4f(0, 0, 0, u.w)
-        out.append(dr.select(ends, rows[i], row))
+        out.append(dr.select(ends, own, row))
     return out
 
 
@@ -224,12 +221,12 @@ def _combine(directions: Any, coefficients: Any) -> mi.Float:
     return dr.block_sum(directions * dr.gather(mi.Float, coefficients, chosen), count)
 
 
-def _directions(array: np.ndarray | None) -> mi.Float | None:
-    return None if array is None or array.size == 0 else _data(array)
-
-
 def _data(array: np.ndarray) -> mi.Float:
     return mi.Float(np.ascontiguousarray(array, dtype=np.float32).ravel())
+
+
+def _directions(array: np.ndarray | None) -> mi.Float | None:
+    return None if array is None or array.size == 0 else _data(array)
 
 
 def _values(name: str, value: Any, count: int) -> mi.Float:

@@ -18,7 +18,6 @@ class UVFile:
     """Texture coordinates over a mesh's triangles.
 
     Attributes:
-        path: the file.
         uv: (U, 2) float32 in [0, 1], v up.
         uv_faces: (F, 3) int32 into ``uv``.
         faces: (F, 3) int32, the vertices of the same triangles; None if the file does not have them.
@@ -30,37 +29,28 @@ class UVFile:
     faces: np.ndarray | None
 
     def over(self, faces: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
-        """``uv`` and ``uv_faces``, brought into the order of the triangles and corners of ``faces``.
-
-        Args:
-            faces: (F, 3) the mesh's triangles.
-            vertex_count: V, for the error message if the file belongs to another mesh.
+        """``uv`` and ``uv_faces``, brought into the order of the triangles and corners of ``faces``, (F, 3).
 
         Raises:
-            InputError: the triangles of the file are not those of the mesh.
+            InputError: the triangles of the file are not those of the mesh, of ``vertex_count`` vertices.
         """
+        mesh = f"texture coordinates of the mesh with {vertex_count} vertices and {len(faces)} triangles"
+        if len(self.uv_faces) != len(faces):
+            raise InputError(self.path, f"{len(self.uv_faces)} triangles", mesh)
         if self.faces is None:
-            if len(self.uv_faces) != len(faces):
-                raise self._other(f"{len(self.uv_faces)} triangles", len(faces), vertex_count)
             return self.uv, self.uv_faces
-        if len(self.faces) != len(faces):
-            raise self._other(f"{len(self.faces)} triangles", len(faces), vertex_count)
         mine, mine_first = _turned(self.faces)
         theirs, theirs_first = _turned(faces)
         order, wanted = np.lexsort(mine.T), np.lexsort(theirs.T)
         lacking = (mine[order] != theirs[wanted]).any(axis=1)
         if lacking.any():
-            raise self._other(f"other triangles, {int(lacking.sum())} of them", len(faces), vertex_count)
+            raise InputError(self.path, f"other triangles, {int(lacking.sum())} of them", mesh)
         place = np.empty(len(faces), dtype=np.int64)
         place[wanted] = order
         # Corner c of the mesh's triangle is corner c - theirs_first of the turned one, and so c -
         # theirs_first + mine_first of the file's.
         corners = (np.arange(3) - theirs_first[:, None] + mine_first[place][:, None]) % 3
         return self.uv, np.take_along_axis(self.uv_faces[place], corners, axis=1)
-
-    def _other(self, found: str, triangles: int, vertices: int) -> InputError:
-        expected = f"texture coordinates of the mesh with {vertices} vertices and {triangles} triangles"
-        return InputError(self.path, found, expected)
 
 
 def read_uv(path: str | os.PathLike[str]) -> UVFile:

@@ -114,8 +114,8 @@ def test_places(anny: Body) -> None:
 
 def test_sequence(anny: Body) -> None:
     clip = load_clip("climb")
-    poses = pose_sequence(anny, clip, [205, 210], rate=30, first=200)
-    assert poses.frames.tolist() == [205, 210] and (poses.pose[:, 0] == 0).all()
+    poses = pose_sequence(anny, clip, [5, 10], rate=30)
+    assert poses.frames.tolist() == [5, 10] and (poses.pose[:, 0] == 0).all()
     same = retarget(anny, clip)
     np.testing.assert_allclose(poses.pose, same.pose[[5, 10]], atol=1e-3)
     every = pose_sequence(anny, clip, rate=5)
