@@ -1,4 +1,7 @@
-"""Wavefront OBJ: triangles or quads in named groups, with texture coordinates at each corner."""
+"""Wavefront OBJ: triangles or quads in named groups, with texture coordinates at each corner.
+
+trimesh's reader loses either the numbers of the vertices or the seams of the texture.
+"""
 
 from __future__ import annotations
 
