@@ -14,7 +14,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,7 +51,9 @@ def folders() -> list[Path]:
 def candidates() -> Iterator[Path]:
     """Every file that looks like a shared library of LLVM, without links to the same file."""
     seen: set[Path] = set()
-    for path in (*_in_folders(folders()), *in_loader_cache()):
+    patterns = ("libLLVM*.so*", "libLLVM*.dylib")
+    found = (path for folder in folders() for pattern in patterns for path in sorted(folder.glob(pattern)))
+    for path in (*found, *in_loader_cache()):
         real = path.resolve()
         if real not in seen and real.is_file():
             seen.add(real)
@@ -71,9 +73,9 @@ def version_of(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
         return None
     if not hasattr(library, "LLVMGetVersion"):
         return version_in_name(path) if hasattr(library, "LLVMContextCreate") else None
-    numbers = [ctypes.c_uint() for _ in range(3)]
-    library.LLVMGetVersion(*map(ctypes.byref, numbers))
-    return numbers[0].value, numbers[1].value, numbers[2].value
+    major, minor, patch = ctypes.c_uint(), ctypes.c_uint(), ctypes.c_uint()
+    library.LLVMGetVersion(*map(ctypes.byref, (major, minor, patch)))
+    return major.value, minor.value, patch.value
 
 
 def version_in_name(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
@@ -115,7 +117,9 @@ def loaded() -> Llvm | None:
     major, minor, patch = dr.detail.llvm_version()
     if major < 0:
         return None
-    paths = {os.path.realpath(path) for path in _mapped()}
+    maps = Path("/proc/self/maps")
+    lines = maps.read_text().splitlines() if maps.is_file() else []
+    paths = {os.path.realpath(line.split(maxsplit=5)[5]) for line in lines if "libLLVM" in line}
     named = [path for path in sorted(paths) if (version_in_name(path) or (0,))[0] == major]
     return Llvm((major, minor, patch), named[0] if named else "")
 
@@ -162,29 +166,10 @@ def _check_loaded() -> Llvm | None:
     if llvm is None or llvm.version[0] >= MINIMUM:
         return llvm
     better = find()
-    if better is None:
-        remedy = f"Install one: {install_command()}"
-    else:
-        remedy = f"Import ndf_mi before drjit and mitsuba, or set {VARIABLE}={better.path}"
-    raise ImportError(
-        f"Dr.Jit has loaded {llvm}, which aborts the process at the first render; LLVM {MINIMUM} or newer is "
-        f"needed.\n  {remedy}"
-    )
-
-
-def _mapped() -> Iterator[str]:
-    """The libraries of LLVM that this process has loaded (Linux)."""
-    try:
-        lines = Path("/proc/self/maps").read_text().splitlines()
-    except OSError:
-        return
-    yield from (line.split(maxsplit=5)[5] for line in lines if "libLLVM" in line)
-
-
-def _in_folders(where: Sequence[Path]) -> Iterator[Path]:
-    for folder in where:
-        for pattern in ("libLLVM*.so*", "libLLVM*.dylib"):
-            yield from sorted(folder.glob(pattern))
+    repair = (f"Import ndf_mi before drjit and mitsuba, or set {VARIABLE}={better.path}" if better else
+              f"Install one: {install_command()}")
+    raise ImportError(f"Dr.Jit has loaded {llvm}, which aborts the process at the first render; LLVM {MINIMUM} "
+                      f"or newer is needed.\n  {repair}")
 
 
 def in_loader_cache() -> Iterator[Path]:
@@ -200,11 +185,7 @@ def in_loader_cache() -> Iterator[Path]:
         return
 
 
-def _main() -> int:
-    found = find()
-    print(found if found is not None else install_command())
-    return 0 if found is not None else 1
-
-
 if __name__ == "__main__":
-    sys.exit(_main())
+    found = find()
+    print(found or install_command())
+    sys.exit(0 if found else 1)

@@ -71,15 +71,13 @@ def load_npz(path: str | os.PathLike[str], keys: Sequence[str]) -> dict[str, Any
     try:
         with zipfile.ZipFile(io.BytesIO(_contents(path, "an .npz file"))) as archive:
             entries = {entry.filename: entry for entry in archive.infolist()}
-            for key in keys:
-                entry = entries.get(f"{key}.npy")
-                if entry is not None:
-                    _check_size(f"{path}: {key}", entry.file_size)
-                    if entry.file_size > max(MOST_UNPACKED, MOST_RATIO * entry.compress_size):
-                        ratio = entry.file_size // max(entry.compress_size, 1)
-                        raise InputError(f"{path}: {key}", f"data that unpack to {ratio} times their size",
-                                         f"{MOST_RATIO} times at most")
-                    found[key] = _npy(f"{path}: {key}", archive.read(entry))
+            for key, entry in [(key, entries[f"{key}.npy"]) for key in keys if f"{key}.npy" in entries]:
+                where, size, packed = f"{path}: {key}", entry.file_size, entry.compress_size
+                _check_size(where, size)
+                if size > max(MOST_UNPACKED, MOST_RATIO * packed):
+                    raise InputError(where, f"data that unpack to {size // max(packed, 1)} times their size",
+                                     f"{MOST_RATIO} times at most")
+                found[key] = _npy(where, archive.read(entry))
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
         raise InputError(path, f"a damaged or truncated file ({error})", "an .npz file") from None
     return found
@@ -103,15 +101,15 @@ def _check_size(where: str, size: int) -> None:
 def _npy(where: str, data: bytes) -> Any:
     stream = io.BytesIO(data)
     try:
-        version = np.lib.format.read_magic(stream)
         form = np.lib.format
-        read = form.read_array_header_1_0 if version == (1, 0) else form.read_array_header_2_0
+        first = form.read_magic(stream) == (1, 0)
+        read = form.read_array_header_1_0 if first else form.read_array_header_2_0
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of a header that Python 2 wrote
             _, _, kind = read(stream)
         if not kind.hasobject:
             stream.seek(0)
-            return np.lib.format.read_array(stream, allow_pickle=False)
+            return form.read_array(stream, allow_pickle=False)
     except Exception as error:  # numpy's reading of a damaged header can end in nearly any exception
         raise InputError(where, f"a damaged or truncated file ({error})", "a .npy file") from None
     value = _unpickle(where, data[stream.tell() :])

@@ -214,20 +214,14 @@ def chumpy_select(record: Record, build: Build) -> np.ndarray:
 
 
 @_record
-def encode(record: Record, build: Build) -> bytes:
-    """``_codecs.encode``: (text, "latin1"), which is how bytes are written for Python 2."""
+def encoded(record: Record, build: Build) -> bytes:
+    """``_codecs.encode(text, "latin1")`` and ``bytes()``, which is how bytes are written for Python 2."""
     match record.arguments:
+        case ():
+            return b""
         case (str() as text, "latin1" | "latin-1" | "iso-8859-1"):
             return text.encode("latin1")
-    raise Malformed("bytes that are not in latin1")
-
-
-@_record
-def empty_bytes(record: Record, build: Build) -> bytes:
-    """``bytes()``, which is how empty bytes are written for Python 2."""
-    if record.arguments:
-        raise Malformed("bytes that are made from something else")
-    return b""
+    raise Malformed("bytes that are not text in latin1")
 
 
 @_record
@@ -263,12 +257,12 @@ def ordered_dict(record: Record, build: Build) -> dict[Any, Any]:
     return build({checked_key(key): value for key, value in pairs} | record.items)
 
 
-_BUILTINS = {"object": base_class, "set": set_as_list, "bytes": empty_bytes}
+_BUILTINS = {"object": base_class, "set": set_as_list, "bytes": encoded}
 _NAMES: dict[tuple[str, str], type[Record]] = {
     ("numpy", "dtype"): dtype,
     ("numpy", "ndarray"): base_class,
     ("collections", "OrderedDict"): ordered_dict,
-    ("_codecs", "encode"): encode,
+    ("_codecs", "encode"): encoded,
     ("chumpy.ch", "Ch"): chumpy_array,
     ("chumpy", "Ch"): chumpy_array,
     ("chumpy.reordering", "Select"): chumpy_select,

@@ -48,7 +48,7 @@ class Annotations:
         """The frame numbers of rows, which name the fits; ``number`` reads one from an image's name.
 
         Raises:
-            InputError: too few rows; a name without a number; or several numbers in a row.
+            InputError: too few rows; a name without a number; or not one number for each row.
         """
         if rows.stop > len(self.rows):
             raise InputError(f"{self.file}: ims", f"{len(self.rows)} frames", f"at least {rows.stop}")
@@ -196,12 +196,9 @@ def _calibration(
             raise InputError(f"{file}: cams.{key}[{i}]", f"type {array.dtype}, shape {array.shape}",
                              f"{count or 'up to 5'} numbers")
         parts[key] = array.astype(np.float64).ravel()
-    distortion = parts["D"]
-    if distortion[5:].any():
-        raise InputError(f"{file}: cams.D[{i}]", f"{distortion.size} coefficients",
+    if parts["D"][5:].any():
+        raise InputError(f"{file}: cams.D[{i}]", f"{parts['D'].size} coefficients",
                          "OpenCV's k1, k2, p1, p2, k3")
-    distortion = np.pad(distortion[:5], (0, max(0, 5 - distortion.size)))
-    k1, k2, p1, p2, k3 = distortion.tolist()
-    rotation, translation = parts["R"].reshape(3, 3), parts["T"] * _MILLIMETRES
-    return Calibration(name, f"{file}: cams[{i}]", parts["K"].reshape(3, 3), (k1, k2, p1, p2, k3), rotation,
-                       translation, size)
+    k1, k2, p1, p2, k3 = [*parts["D"].tolist(), 0.0, 0.0, 0.0, 0.0, 0.0][:5]
+    return Calibration(name, f"{file}: cams[{i}]", parts["K"].reshape(3, 3), (k1, k2, p1, p2, k3),
+                       parts["R"].reshape(3, 3), parts["T"] * _MILLIMETRES, size)

@@ -104,6 +104,5 @@ def _read(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         raise InputError(f"{file}: poses", f"{pose[:3].round(4).tolist()} for the root", expected)
     pose[:3] = 0
     for key in ("Rh", "Th"):
-        if found[key].size != 3:
-            raise InputError(f"{file}: {key}", f"{found[key].size} numbers", "3")
+        arrays.check_shape(f"{file}: {key}", found[key], (3,))
     return pose.reshape(JOINTS, 3), found["Rh"], found["Th"], found["shapes"]

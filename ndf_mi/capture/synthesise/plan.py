@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,13 +32,11 @@ class Settings:
     Attributes:
         pixels: width and height of the images.
         spp: samples a pixel.
-        cameras: number of cameras in the ring.
-        train_cameras: number of these, evenly spaced, for training; the others are the novel views.
-        frames: number of training frames.
-        view_frames: number of these, evenly spaced, in the novel views.
+        train_cameras: number of the ``cameras`` in the ring, evenly spaced, for training; the others are the
+            novel views.
+        view_frames: number of the training ``frames``, evenly spaced, in the novel views.
         pose_frames: number of frames of the other motion for novel poses.
-        pose_cameras: number of cameras of the novel poses, evenly spaced among those of the novel views, if
-            any.
+        pose_cameras: number of cameras of the novel poses, evenly spaced among those of the novel views.
         sequence_frames: number of successive frames, at 30 Hz, of the other motion in the split ``sequence``,
             seen by the first camera of the novel poses.
         seed: of the placement of cameras and the sampling of the renderer.
@@ -58,18 +55,12 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Raises InputError at the first number that is out of range."""
-        for name, low, high in (
-            ("pixels", 16, 4096),
-            ("spp", 1, 16384),
-            ("cameras", 1, 99),
-            ("train_cameras", 1, self.cameras),
-            ("frames", 1, 190),
-            ("view_frames", 0, self.frames),
-            ("pose_frames", 0, 120),
-            ("pose_cameras", 1, self.cameras - self.train_cameras or self.cameras),
-            ("sequence_frames", 0, 60),
-            ("seed", 0, 2**31 - 1),
-        ):
+        ranges = {
+            "pixels": (16, 4096), "spp": (1, 16384), "cameras": (1, 99), "train_cameras": (1, self.cameras),
+            "frames": (1, 190), "view_frames": (0, self.frames), "pose_frames": (0, 120),
+            "pose_cameras": (1, self.cameras - self.train_cameras or self.cameras),
+            "sequence_frames": (0, 60), "seed": (0, 2**31 - 1)}  # fmt: skip
+        for name, (low, high) in ranges.items():
             value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(f"--{name.replace('_', '-')}", str(value),
@@ -129,8 +120,8 @@ def splits(settings: Settings, names: list[str]) -> dict[str, Split]:
     frames = tuple(range(settings.frames))
     spread = (np.arange(settings.view_frames) + 0.5) / max(settings.view_frames, 1) * settings.frames
     viewed = tuple(int(frame) for frame in spread)
-    posed = tuple(range(settings.frames, settings.frames + settings.pose_frames))
     start = settings.frames + settings.pose_frames
+    posed = tuple(range(settings.frames, start))
     sequence = tuple(range(start, start + settings.sequence_frames))
     posing = evenly(others or train, settings.pose_cameras)
     chosen = {"train": (train, frames), "novel_view": (others, viewed), "novel_pose": (posing, posed),
@@ -164,20 +155,13 @@ def motion(body: Body, settings: Settings, kind: str = "clips") -> Poses:
         turn = 2 * np.pi / settings.frames if kind == "turn" else 0.0
         parts[: 2 if settings.frames > 1 else 1] = [_held(parts[0], turn * np.arange(settings.frames))]
 
-    def joined(field: Callable[[Poses], np.ndarray]) -> np.ndarray:
-        return np.concatenate([field(part) for part in parts])
-
+    vertices, pose, root_rotation, translation = (
+        np.concatenate([getattr(part, field) for part in parts])
+        for field in ("vertices", "pose", "root_rotation", "translation"))
     # Without this, the performer would leave the image in a jump or a climb.
-    vertices = joined(lambda p: p.vertices)
     lift = np.array([0, 1, 0], dtype=np.float32) * vertices[..., 1].min(axis=1)[:, None]
-    return Poses(
-        np.arange(settings.frames + settings.pose_frames + settings.sequence_frames, dtype=np.int32),
-        vertices - lift[:, None],
-        joined(lambda p: p.pose),
-        joined(lambda p: p.root_rotation),
-        joined(lambda p: p.translation) - lift,
-        shape,
-    )
+    return Poses(np.arange(len(vertices)), vertices - lift[:, None], pose, root_rotation, translation - lift,
+                 shape)
 
 
 def heading(root_rotation: np.ndarray) -> float:
@@ -189,14 +173,10 @@ def heading(root_rotation: np.ndarray) -> float:
 def _held(poses: Poses, angles: np.ndarray) -> Poses:
     """The pose of the first frame, rotated around the world's y axis by (T,) radians."""
     turn = Rotation.from_rotvec(angles[:, None] * [0.0, 1.0, 0.0])
-    return Poses(
-        np.arange(len(angles), dtype=np.int32),
-        np.einsum("tij,vj->tvi", turn.as_matrix(), poses.vertices[0]),
-        np.repeat(poses.pose[:1], len(angles), axis=0),
-        (turn * Rotation.from_rotvec(poses.root_rotation[0])).as_rotvec(),
-        turn.apply(poses.translation[0]),
-        poses.shape,
-    )
+    return Poses(np.arange(len(angles)), np.einsum("tij,vj->tvi", turn.as_matrix(), poses.vertices[0]),
+                 np.repeat(poses.pose[:1], len(angles), axis=0),
+                 (turn * Rotation.from_rotvec(poses.root_rotation[0])).as_rotvec(),
+                 turn.apply(poses.translation[0]), poses.shape)
 
 
 def _times(clip: Clip, count: int) -> np.ndarray:

@@ -225,7 +225,7 @@ class TestBadInput:
         ("poses", np.full((1, 72), 0.1), "for the root"),
         ("poses", np.zeros((1, 156)), "156 numbers"),
         ("Rh", np.full((1, 3), np.nan), "not finite"),
-        ("Th", np.zeros(4), "4 numbers"),
+        ("Th", np.zeros(4), "(4,)"),
         ("Th", np.array([[300.0, -200, 1000]]), "at most 20 mm"),
         ("shapes", None, "only poses, Rh, Th"),
         ("poses", [[0.0] * 72, [0.0]], "poses: found rows of unequal length"),
