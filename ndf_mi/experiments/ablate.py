@@ -12,13 +12,14 @@ from ndf_mi.errors import InputError
 from ndf_mi.experiments import protocols
 from ndf_mi.experiments.core import SILENT, Progress, run_units
 from ndf_mi.experiments.evaluate import ImageSet, already_measured, measure
+from ndf_mi.experiments.fit import training_unit
 from ndf_mi.experiments.records import MethodResult, Results
 from ndf_mi.experiments.settings import Evaluation
 from ndf_mi.experiments.store import Store
-from ndf_mi.experiments.trained import expect_options, training_unit
 from ndf_mi.field import Preset
 from ndf_mi.learn.ablations import ABLATIONS, ablation
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.trained import expect_options
 from ndf_mi.methods.base import Method
 from ndf_mi.methods.registry import entry
 from ndf_mi.run import Run

@@ -1,4 +1,4 @@
-"""Training a method as a unit of work."""
+"""Trainings as units of work: of a method, or of a run with given options."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from typing import Any, TypeVar
 from ndf_mi.capture.capture import Capture
 from ndf_mi.experiments.core import Progress, Unit
 from ndf_mi.experiments.records import Trained
-from ndf_mi.methods.base import Budget, Trainable
+from ndf_mi.field import Preset
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.trained import trained as trained_run
+from ndf_mi.methods.base import Budget, Resumable, Trainable
 
 M = TypeVar("M", bound=Trainable)
 
@@ -18,7 +21,7 @@ def fit_unit(
     name: str, label: str, method: M, options: Mapping[str, Any], capture: Capture, budget: Budget,
     folder: Path, progress: Progress,
 ) -> tuple[Unit[Trained], Callable[[], M]]:
-    """A unit that trains a method and saves it.
+    """A unit that trains a method and saves it; the training of a `Resumable` continues where it stopped.
 
     Args:
         name: the method's name in the study.
@@ -36,11 +39,14 @@ def fit_unit(
     ready: list[M] = []
 
     def work() -> Trained:
-        method.fit(
-            capture, budget,
-            lambda seconds, step, loss: progress.training(label, seconds, budget.seconds, step, loss),
-        )
-        method.save(folder)
+        def report(seconds: float, step: int, loss: float) -> None:
+            progress.training(label, seconds, budget.seconds, step, loss)
+
+        if isinstance(method, Resumable):
+            method.fit_in(folder, capture, budget, report)
+        else:
+            method.fit(capture, budget, report)
+            method.save(folder)
         ready.append(method)
         return Trained(method.metadata())
 
@@ -55,3 +61,17 @@ def fit_unit(
         "budget": budget.seconds,
     }
     return Unit(f"{name}/train", inputs, work, Trained, (folder,), label), trained
+
+
+def training_unit(
+    name: str, label: str, folder: Path, capture: Capture, preset: Preset, options: TrainingOptions
+) -> Unit[Trained]:
+    """A unit that trains the run in a folder to its end; a stopped training continues."""
+
+    def work() -> Trained:
+        run = trained_run(folder, capture, preset, options)
+        return Trained({key: run.config.get("trained", {}).get(key) for key in ("steps", "seconds")})
+
+    inputs = {"capture": capture.digest, "preset": preset.to_dict(), "training": options.to_dict()}
+    outputs = (folder / "config.json", folder / "field.safetensors")
+    return Unit(f"{name}/train", inputs, work, Trained, outputs, label, "train")

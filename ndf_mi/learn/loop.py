@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -109,11 +110,18 @@ def expect_capture(run: Run, capture: Capture) -> None:
             f"{str(known.get('digest'))[:12]})")
 
 
-def train(trainer: Trainer, quiet: bool = False) -> None:
+def train(trainer: Trainer, quiet: bool = False,
+          progress: Callable[[float, int, float], None] | None = None) -> None:
     """Trains to the end, or until SIGINT or SIGTERM.
 
     A signal lets the present step finish, saves the state and raises KeyboardInterrupt. If too many steps are
     refused, the last good state is saved. After any other error the last checkpoint remains.
+
+    Args:
+        trainer: new or resumed.
+        quiet: shows no progress bar, and does not report that TensorBoard is missing.
+        progress: called after each step taken with the seconds and steps so far and the smoothed mean squared
+            error in sRGB.
 
     Raises:
         KeyboardInterrupt: a signal arrived.
@@ -141,6 +149,8 @@ def train(trainer: Trainer, quiet: bool = False) -> None:
                           "continuing "
                           f"from the last good state with learning rates × {now.rate_factor:g}", flush=True)
                     continue
+                if progress is not None:
+                    progress(now.seconds, now.step, now.error)
                 if now.step % _LOG_EVERY == 0 or trainer.done >= 1:
                     _log(log, board, trainer)
                     bar.show()

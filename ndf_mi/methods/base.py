@@ -126,6 +126,18 @@ class Method(Trainable, Renderer, Protocol):
     """What `ndf-mi compare` measures."""
 
 
+@runtime_checkable
+class Resumable(Protocol):
+    """A method whose training survives being stopped."""
+
+    def fit_in(self, folder: str | os.PathLike[str], capture: Capture, budget: Budget,
+               progress: Progress | None = None) -> None:
+        """As `Trainable.fit` and `save` to the folder; continues a stopped training with the same capture,
+        options and budget that the folder holds, and replaces any other.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class Light:
     """Light that a scene is lit by.

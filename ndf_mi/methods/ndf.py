@@ -17,9 +17,10 @@ from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.field import preset as preset_of
-from ndf_mi.learn.loop import expect_capture, start, train
+from ndf_mi.learn.loop import expect_capture
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import SCATTERING
+from ndf_mi.learn.trained import clear, expect_options, trained
 from ndf_mi.methods.base import Budget, Progress
 from ndf_mi.render.image import RECIPE, ImageRenderer
 from ndf_mi.run import Run
@@ -67,21 +68,29 @@ class NeuralField:
         return self._run
 
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
-        """Trains a run by the default schedule, which is as long as the budget; without seconds, it has the
-        default number of steps.
+        """Trains a run in a temporary folder; otherwise as `fit_in`."""
+        self._scratch = tempfile.TemporaryDirectory(prefix="ndf-mi-")
+        self.fit_in(Path(self._scratch.name) / "run", capture, budget, progress)
 
-        Args:
-            capture: with a `train` split.
-            budget: how long.
-            progress: not called; the training prints its own progress bar on a terminal.
+    def fit_in(self, folder: str | os.PathLike[str], capture: Capture, budget: Budget,
+               progress: Progress | None = None) -> None:
+        """Trains a run by the default schedule, which is as long as the budget; without seconds, it has the
+        default number of steps. A stopped training in the folder continues if its options are the same.
+
+        Raises:
+            KeyboardInterrupt: stopped by a signal; the next call continues.
         """
         options = TrainingOptions(seed=budget.seed)
         if budget.seconds is not None:
             options = replace(options, seconds=budget.seconds, steps=UNLIMITED)
-        self._scratch = tempfile.TemporaryDirectory(prefix="ndf-mi-")
-        trainer = start(Path(self._scratch.name) / "run", capture, self._preset, options)
-        train(trainer)
-        self._take(Run.load(trainer.run.path))
+        folder = Path(folder)
+        try:
+            expect_options(Run.load(folder), capture, self._preset, options)
+        except InputError:
+            # There is no run, a damaged one, or that of another training.
+            clear(folder)
+        self._take(trained(folder, capture, self._preset, options, quiet=progress is not None,
+                           progress=progress))
 
     def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
         """Reads a run.

@@ -7,6 +7,9 @@ To add a method, write a class with the members of `ndf_mi.methods.base.Method` 
         key, label = "grey", "Grey"
         ...
 
+A package makes its methods known to the command line by entry points in the group `ndf_mi.methods`, named
+as the method's key: `grey = "my_package.methods:Grey"`. They are loaded when first named.
+
 The class is created without arguments, or with those options of the experiment that its constructor has
 parameters for, by name: `texture` (texels a side), `samples` (samples a ray), and what `metadata()["tuned"]`
 of another training found.
@@ -22,6 +25,7 @@ import importlib
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -30,6 +34,7 @@ from ndf_mi.methods.base import Method
 
 CONVERGED, EQUAL_TIME = "converged", "equal-time"
 BUDGETS = (CONVERGED, EQUAL_TIME)
+GROUP = "ndf_mi.methods"
 FORM = "KEY[:FOLDER][@converged|@equal-time]"
 
 T = TypeVar("T", bound=type[Any])
@@ -96,9 +101,17 @@ def keys() -> list[str]:
 
 
 def entry(key: str) -> Entry:
-    """The method of this key. Raises InputError listing the known ones."""
+    """The method of this key, if need be from an entry point.
+
+    Raises:
+        InputError: there is none, or its entry point cannot be loaded.
+    """
     if key not in _ENTRIES:
-        raise InputError("method", repr(key), f"one of {', '.join(_ENTRIES)}")
+        points = {point.name: point for point in entry_points(group=GROUP)}
+        if key not in points:
+            known = ", ".join(dict.fromkeys([*_ENTRIES, *points]))
+            raise InputError("method", repr(key), f"one of {known}")
+        _load(points[key])
     return _ENTRIES[key]
 
 
@@ -167,6 +180,22 @@ def parse_specs(texts: str | Iterable[str]) -> list[MethodSpec]:
             raise InputError("methods", f"two named {spec.name}",
                              "methods that differ in key, budget or the folder's last name")
     return specs
+
+
+def _load(point: EntryPoint) -> None:
+    """Registers the class of an entry point, unless importing its module has done so."""
+    where = f"method {point.name!r}, entry point {point.value}"
+    try:
+        method = point.load()
+    except Exception as error:
+        raise InputError(where, f"{type(error).__name__}: {error}", "a class that can be imported",
+                         "Repair or uninstall the package that provides it.") from error
+    if point.name in _ENTRIES:
+        return
+    if getattr(method, "key", None) != point.name:
+        raise InputError(where, f"the key {getattr(method, 'key', None)!r}",
+                         f"a class whose `key` is {point.name!r}")
+    register(method)
 
 
 def _plain(name: str) -> str:

@@ -11,13 +11,12 @@ import pytest
 
 from ndf_mi.commands import main
 from ndf_mi.errors import InputError
-from ndf_mi.experiments import trained
 from ndf_mi.experiments.ablate import RESULTS, AblationStudy
 from ndf_mi.experiments.core import Progress
 from ndf_mi.experiments.records import Measured, MethodResult, Results, View
 from ndf_mi.experiments.settings import Evaluation
 from ndf_mi.field import preset
-from ndf_mi.learn import loop
+from ndf_mi.learn import trained
 from ndf_mi.learn.ablations import ABLATIONS
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.methods import ndf
@@ -49,7 +48,7 @@ class Begun(Progress):
         return [label for label in self.labels if label.startswith("train ")]
 
 
-def train_at_once(trainer, quiet=False):
+def train_at_once(trainer, *_):
     trainer.run.config["trained"] = {"steps": 4, "seconds": 1.0, "done": True}
     trainer.run.save()
 
@@ -178,17 +177,6 @@ def test_studies_older_than_an_option_continue(capture, tmp_path, untrained):
     assert rows(study(capture, tmp_path, options=quiet)) == ["full", "no-pose"]
     with pytest.raises(InputError, match="pose_noise = 0.0; expected 0.1"):
         study(capture, tmp_path)
-
-
-@pytest.mark.parametrize("products", [True, False])
-def test_a_preset_field_that_older_runs_lack_is_compared(capture, tmp_path, products):
-    with_, without = (
-        dataclasses.replace(preset("tiny"), pose_products=value) for value in (products, not products)
-    )
-    run = loop.start(tmp_path / "run", capture, with_, OPTIONS).run
-    trained.expect_options(run, capture, with_, OPTIONS)
-    with pytest.raises(InputError, match=f"pose_products = {products}; expected {not products}"):
-        trained.expect_options(run, capture, without, OPTIONS)
 
 
 def test_other_options_are_refused_by_name(capture, folder):

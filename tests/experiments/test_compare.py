@@ -4,9 +4,11 @@ methods.
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +26,7 @@ from ndf_mi.experiments.compare import RESULTS, Comparison, Settings
 from ndf_mi.experiments.core import SILENT, Progress
 from ndf_mi.field import PRESETS
 from ndf_mi.methods import registry
+from ndf_mi.methods.ndf import NeuralField
 from ndf_mi.run import Run
 
 RUN_SECONDS = 3600.0
@@ -101,6 +104,37 @@ def compared(run, capture, folder, *methods: str, progress=SILENT, **more):
 
 def keys(results) -> list[str]:
     return [method.key for method in results.methods]
+
+
+class TinyField(NeuralField):
+    key, label = "tiny-field", "Tiny field"
+
+    def __init__(self, samples=16):
+        super().__init__(samples, "tiny")
+
+
+def test_a_stopped_training_of_a_field_continues_and_is_recorded(run, capture, tmp_path):
+    class Stop(Progress):
+        def __init__(self, last):
+            self.steps, self.last = [], last
+
+        def training(self, label, seconds, budget, step, loss):
+            self.steps.append(step)
+            if step == self.last:
+                signal.raise_signal(signal.SIGINT)
+
+    registry.register(TinyField)
+    try:
+        first, second, third = Stop(2), Stop(None), Stop(None)
+        again = functools.partial(compared, run, capture, tmp_path, "tiny-field@equal-time", mesh_seconds=1.0)
+        with pytest.raises(KeyboardInterrupt):
+            again(progress=first)
+        results = again(progress=second)
+        again(progress=third)
+    finally:
+        registry.unregister("tiny-field")
+    assert first.steps == [1, 2] and second.steps[0] == 3 and third.steps == []
+    assert results.methods[0].metadata["steps"] == second.steps[-1]
 
 
 def test_a_new_method_appears_in_tables_pictures_and_report_with_no_other_file_touched(

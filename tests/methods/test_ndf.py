@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 
 import numpy as np
 import pytest
@@ -63,6 +64,30 @@ def test_runs_of_another_capture_or_through_scattering_are_refused(
     (tmp_path / "config.json").write_text(json.dumps(config))
     with pytest.raises(InputError, match="training.integrator.*prbvolpath"):
         NeuralField().load(tmp_path, capture)
+
+
+def test_a_stopped_training_continues_where_it_will_be_saved(capture, tmp_path):
+    seen: list[int] = []
+
+    def stop(seconds, step, loss):
+        seen.append(step)
+        assert seconds > 0 and 0 < loss < 1
+        if step == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        NeuralField(samples=8, preset="tiny").fit_in(tmp_path, capture, Budget(seconds=3.0, seed=2), stop)
+    method = NeuralField(samples=8, preset="tiny")
+    method.fit_in(tmp_path, capture, Budget(seconds=3.0, seed=2), stop)
+    assert seen[:3] == [1, 2, 3] and method.metadata()["seconds"] >= 3
+    method.fit_in(tmp_path, capture, Budget(seconds=3.0, seed=2), stop)  # trained already
+    assert seen.count(3) == 1
+    again = NeuralField(samples=8, preset="tiny")
+    again.load(tmp_path, capture)
+    assert again.cache_key() == method.cache_key()
+    seen.clear()
+    again.fit_in(tmp_path, capture, Budget(seconds=0.1, seed=3), lambda seconds, step, loss: seen.append(step))
+    assert seen[0] == 1 and again.metadata()["seed"] == 3
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,43 @@ def test_a_registered_class_is_created_with_the_options_that_it_takes(grey):
     assert registry.entry("grey").create({"texture": 5, "samples": 9}).texture == 5
     assert registry.entry("grey").create().texture == 3
     expect_views(registry.entry("grey").create(), [("any", 1)])
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Writes a package with a module and an entry point `outside` of that value, as installing it would."""
+
+    def install(code: str, value: str) -> None:
+        (tmp_path / "outside_method.py").write_text(code)
+        metadata = tmp_path / "outside_method-1.0.dist-info"
+        metadata.mkdir()
+        (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: outside-method\nVersion: 1.0\n")
+        (metadata / "entry_points.txt").write_text(f"[ndf_mi.methods]\noutside = {value}\n")
+        monkeypatch.syspath_prepend(tmp_path)
+
+    yield install
+    sys.modules.pop("outside_method", None)
+    if "outside" in registry.keys():
+        registry.unregister("outside")
+
+
+def test_a_method_of_an_installed_package_needs_no_import(installed):
+    installed("class Outside:\n    key, label = 'outside', 'Outside'\n", "outside_method:Outside")
+    assert parse_spec("outside@converged") == MethodSpec("outside", None, "converged")
+    assert registry.entry("outside").create({"texture": 5}).label == "Outside"
+    with pytest.raises(InputError, match="gauss.*outside"):
+        parse_spec("gauss")
+
+
+@pytest.mark.parametrize(("code", "value", "facts"), [
+    ("import no_such_module", "outside_method:Outside", "outside.*outside_method:Outside.*no_such_module"),
+    ("", "outside_method:Outside", "outside.*AttributeError"),
+    ("class Outside:\n    key = 'other'\n", "outside_method:Outside", "outside.*other"),
+])
+def test_a_package_that_cannot_be_loaded_is_named(installed, code, value, facts):
+    installed(code, value)
+    with pytest.raises(InputError, match=facts):
+        parse_spec("outside")
 
 
 @pytest.mark.parametrize("key", ["ndf", "mesh", "offset-mesh", "images"])

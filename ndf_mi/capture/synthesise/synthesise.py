@@ -21,7 +21,7 @@ from ndf_mi.capture.synthesise.studio import Studio
 from ndf_mi.capture.writer import CaptureWriter
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.errors import InputError
-from ndf_mi.files import write_json
+from ndf_mi.files import is_left_over, write_json
 from ndf_mi.json_input import load_json
 
 #: The settings of a folder, which show whether an interrupted run can continue there.
@@ -114,13 +114,13 @@ def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
     """Checks that ``out`` is new, empty or such a capture; removes another if ``overwrite``."""
     if out.is_file():
         raise InputError(out, "a file", "a folder")
-    if not out.is_dir() or not any(out.iterdir()):
+    names = sorted(p.name for p in out.iterdir() if not is_left_over(p)) if out.is_dir() else []
+    if not names:
         return
-    foreign = sorted(p.name for p in out.iterdir() if p.name not in _OWN_FILES + _OWN_FOLDERS)
+    foreign = [name for name in names if name not in _OWN_FILES + _OWN_FOLDERS]
     has_settings = (out / SETTINGS_FILE).is_file()
     if foreign or not (has_settings or (out / FILE_NAME).is_file()):
-        names = foreign or sorted(p.name for p in out.iterdir())
-        raise InputError(out, f"a folder with other contents ({', '.join(names[:4])})",
+        raise InputError(out, f"a folder with other contents ({', '.join((foreign or names)[:4])})",
                          "a new or empty folder")
     if not overwrite:
         with contextlib.suppress(InputError):

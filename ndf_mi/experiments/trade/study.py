@@ -19,6 +19,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
 from ndf_mi.experiments.core import SILENT, Progress, Unit, run_units
 from ndf_mi.experiments.evaluate import choose_views, save_picture
+from ndf_mi.experiments.fit import training_unit
 from ndf_mi.experiments.records import Trained, View
 from ndf_mi.experiments.settings import at_least, positive
 from ndf_mi.experiments.store import Store
@@ -28,9 +29,9 @@ from ndf_mi.experiments.trade.points import OWN, RUN, PathSetting, Point, Varian
 from ndf_mi.experiments.trade.rendering import Renderings
 from ndf_mi.experiments.trade.results import TRUTH, Drawn, Figures, Row, Trade
 from ndf_mi.experiments.trade.timing import Session, Timings, digest_of
-from ndf_mi.experiments.trained import expect_options, is_trained, read_options, training_unit
 from ndf_mi.learn.loop import expect_capture
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.trained import expect_options, is_trained, read_options
 from ndf_mi.render.settings import Setting
 from ndf_mi.run import Run
 from ndf_mi.source_digest import code_digest, sources_digest
