@@ -32,6 +32,7 @@ from typing import Annotated
 import numpy as np
 import trimesh
 import tyro
+from growth_fit import fit_growth
 
 from ndf_mi import variants
 from ndf_mi.projection import PosedSurface
@@ -45,11 +46,10 @@ from ndf_mi import files, machine  # noqa: E402
 from ndf_mi.body.body import Body  # noqa: E402
 from ndf_mi.body.poses import Poses  # noqa: E402
 from ndf_mi.capture.camera import Camera, framing  # noqa: E402
-from ndf_mi.experiments.trade.growth import fit_growth  # noqa: E402
 from ndf_mi.experiments.trade.memory import MEANING, peak_memory  # noqa: E402
 from ndf_mi.model import networks_here  # noqa: E402
 from ndf_mi.render.settings import Setting  # noqa: E402
-from ndf_mi.reports.charts import growth_chart  # noqa: E402
+from ndf_mi.reports.charts import fit_chart  # noqa: E402
 from ndf_mi.reports.page import Fact, write_page  # noqa: E402
 from ndf_mi.run import Run  # noqa: E402
 
@@ -212,7 +212,9 @@ def write(points: list[Point], options: Options) -> None:
         for cost, unit, values in (("Time", "s", [float(np.median(point.seconds)) for point in mine]),
                                    ("Memory", "MiB", [max(point.memory, 1) / 2**20 for point in mine])) if len(mine) >= 3 else ():
             growth = fit_growth(x, values)
-            charts.append(growth_chart(growth, RAISED.get(curve, curve), unit, cost))
+            line = np.geomspace(x[0], x[-1], 100)
+            fit = (growth.formula(), line, growth.at(line))
+            charts.append(fit_chart(("measured", x, values), fit, RAISED.get(curve, curve), unit, cost))
             sentences.append(growth.sentence(cost, RAISED.get(curve, curve), unit))
         print(f"{curve}\n  " + "\n  ".join(sentences))
         curves.append({"name": curve, "charts": charts, "sentences": sentences})

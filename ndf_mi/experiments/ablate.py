@@ -11,7 +11,7 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import protocols
 from ndf_mi.experiments.core import SILENT, Progress, run_units
-from ndf_mi.experiments.evaluate import ImageSet, already_measured, measure
+from ndf_mi.experiments.evaluate import ImageSet, Measurement
 from ndf_mi.experiments.fit import training_unit
 from ndf_mi.experiments.records import MethodResult, Results
 from ndf_mi.experiments.settings import Evaluation
@@ -19,8 +19,7 @@ from ndf_mi.experiments.store import Store
 from ndf_mi.field import Preset
 from ndf_mi.learn.ablations import ABLATIONS, ablation
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.trained import expect_options
-from ndf_mi.methods.base import Method
+from ndf_mi.learn.trained import expect_options, is_trained
 from ndf_mi.methods.registry import entry
 from ndf_mi.run import Run
 
@@ -63,9 +62,8 @@ class AblationStudy:
             if (self.folder / name / "config.json").exists():
                 expect_options(Run.load(self.folder / name), self.capture, *self._wanted(name))
         self._store = Store(self.folder / RESULTS, "ablation")
-        self.results = Results(
-            self._about(command), [row for name in ABLATIONS if (row := self._earlier(name)) is not None]
-        )
+        rows = [row for name in ABLATIONS if (row := self._earlier(name)) is not None]
+        self.results = Results(self._about(command), rows)
 
     def run(self, progress: Progress = SILENT) -> Results:
         """Trains and measures what is missing or stale, one variant after the other.
@@ -75,14 +73,10 @@ class AblationStudy:
         """
         self._store.about, self._store.summary = self.results.about, self.results.summary
         for name in self.names:
-            unit = training_unit(
-                name, f"train {ablation(name).title}", self.folder / name, self.capture, *self._wanted(name)
-            )
+            label, (preset, options) = f"train {ablation(name).title}", self._wanted(name)
+            unit = training_unit(name, label, self.folder / name, self.capture, preset, options)
             run_units([unit], self._store, progress)
-            row = measure(
-                name, ablation(name).title, self._method(name), self._images, self.pictures, self._store,
-                progress,
-            )
+            row = self._measurement(name).run(self._store, progress)
             rows = [*(other for other in self.results.methods if other.key != name), row]
             self.results.methods = sorted(rows, key=lambda row: list(ABLATIONS).index(row.key))
         self._store.write()
@@ -91,23 +85,18 @@ class AblationStudy:
     def _wanted(self, name: str) -> tuple[Preset, TrainingOptions]:
         return ablation(name).apply(*self._full)
 
-    def _method(self, name: str) -> Method:
+    def _measurement(self, name: str) -> Measurement:
         method = entry("ndf").create({"samples": self._settings.samples})
         method.load(self.folder / name, self.capture)
-        return method
+        return Measurement(name, ablation(name).title, method, self._images, self.pictures)
 
     def _earlier(self, name: str) -> MethodResult | None:
         """The row of a variant that was trained and measured earlier just as is asked for now, or None."""
-        if not (self.folder / name / "config.json").exists():
-            return None
         try:
-            run = Run.load(self.folder / name)
-            expect_options(run, self.capture, *self._wanted(name))
-            if not run.config.get("trained", {}).get("done"):
+            if not is_trained(self.folder / name):
                 return None
-            return already_measured(
-                name, ablation(name).title, self._method(name), self._images, self.pictures, self._store
-            )
+            expect_options(Run.load(self.folder / name), self.capture, *self._wanted(name))
+            return self._measurement(name).stored(self._store)
         except InputError:
             return None
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +10,9 @@ from typing import Any
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import protocols
-from ndf_mi.experiments.core import SILENT, Progress, run_units
-from ndf_mi.experiments.evaluate import ImageSet, measure
-from ndf_mi.experiments.fit import fit_unit
+from ndf_mi.experiments.core import SILENT, Progress
+from ndf_mi.experiments.evaluate import ImageSet, Measurement
+from ndf_mi.experiments.fit import fitted
 from ndf_mi.experiments.records import Results
 from ndf_mi.experiments.settings import Evaluation, at_least, positive
 from ndf_mi.experiments.store import Store
@@ -54,15 +53,6 @@ class Settings(Evaluation):
         parse_specs(self.methods)
 
 
-@dataclass(frozen=True)
-class Compared:
-    """A method that is ready to render, by its name in the study and its label in tables."""
-
-    name: str
-    label: str
-    method: Method
-
-
 class Comparison:
     """One comparison in one folder.
 
@@ -93,85 +83,74 @@ class Comparison:
         self._options = {"texture": settings.texture, "samples": settings.samples}
         self._seconds = self._equal_seconds()
         self._images = ImageSet.choose(self.capture, settings)
-        self._loaded = {spec.name: self._load(spec) for spec in self._specs if self._folder(spec) is not None}
+        self._loaded = {
+            spec.name: self._load(spec, place)
+            for spec in self._specs
+            if (place := self._folder(spec)) is not None
+        }
         self._store = Store(Path(folder) / RESULTS, "comparison")
         self.results = Results(self._about(command))
-        self._tuned: dict[str, Any] = {}
+        self._tuned: dict[str, dict[str, Any]] = {}
 
     def run(self, progress: Progress = SILENT) -> Results:
         """Trains and measures what is missing or stale. `compare.json` is written after each unit."""
         self._store.about, self._store.summary = self.results.about, self.results.summary
         chosen = [one for spec in self._specs for one in self._ready(spec, progress)]
         self.results.methods = []
-        for one in chosen:
-            self.results.methods.append(
-                measure(one.name, one.label, one.method, self._images, self.pictures, self._store, progress)
-            )
+        for name, label, method in chosen:
+            measurement = Measurement(name, label, method, self._images, self.pictures)
+            self.results.methods.append(measurement.run(self._store, progress))
         self._store.write()
         return self.results
 
-    def _ready(self, spec: MethodSpec, progress: Progress) -> Iterator[Compared]:
-        """The methods that a spec stands for. Without a budget these are the one trained for equal time and
-        the one trained to convergence, or only the latter if it converged within that time."""
+    def _ready(self, spec: MethodSpec, progress: Progress) -> list[tuple[str, str, Method]]:
+        """Name, label and method, ready to render, of those that a spec stands for. Without a budget these
+        are the one trained for equal time and the one trained to convergence, or only the latter if it
+        converged within that time."""
         if spec.name in self._loaded:
             method = self._loaded[spec.name]
-            yield Compared(spec.name, method.label, method)
-            return
+            return [(spec.name, method.label, method)]
         if spec.budget is not None:
-            yield self._fitted(spec.key, spec.budget, progress)
-            return
+            return [self._fitted(spec.key, spec.budget, progress)]
         converged = self._fitted(spec.key, CONVERGED, progress)
-        if not self._stands_for_equal_time(converged.method.metadata()):
-            yield self._fitted(spec.key, EQUAL_TIME, progress)
-        yield converged
-
-    def _stands_for_equal_time(self, metadata: dict[str, Any]) -> bool:
-        """Whether a training to convergence took no longer than the run's. A time that the user gave is
-        always trained for.
-        """
-        return bool(
+        metadata = converged[2].metadata()
+        # A time that the user gave is always trained for.
+        stands_for_equal_time = (
             self.settings.mesh_seconds is None
             and metadata.get("converged")
             and metadata["seconds"] <= self._seconds
         )
+        if stands_for_equal_time:
+            return [converged]
+        return [self._fitted(spec.key, EQUAL_TIME, progress), converged]
 
-    def _fitted(self, key: str, end: str, progress: Progress) -> Compared:
-        """A method trained to an end, or loaded if it has been."""
+    def _fitted(self, key: str, end: str, progress: Progress) -> tuple[str, str, Method]:
+        """A method trained to an end, or loaded if it has been; as in `_ready`."""
         name = f"{key}-{end}"
-        method = entry(key).create({**self._options, **self._tuned})
+        # Another training of the same method has searched its options already.
+        method = entry(key).create({**self._options, **self._tuned.get(key, {})})
         label = f"{method.label}, {_ENDS[end]}"
         budget = Budget(None if end == CONVERGED else self._budget(name), self.settings.seed)
-        unit, ready = fit_unit(
-            name, f"train {label}", method, entry(key).accepted(self._options), self.capture, budget,
-            self._work / name, progress,
+        fitted(
+            method, name, f"train {label}", entry(key).accepted(self._options), self.capture, budget,
+            self._work / name, self._store, progress,
         )
-        run_units([unit], self._store, progress)
-        # The same search would find the same values for other trainings.
-        self._tuned |= ready().metadata().get("tuned", {})
-        return Compared(name, label, ready())
+        self._tuned[key] = method.metadata().get("tuned", {})
+        return name, label, method
 
     def _budget(self, name: str) -> float:
         """Seconds of equal time: those of an earlier training if the run has hardly been trained since."""
-        known = self._store.inputs(f"{name}/train").get("budget")
-        if (
-            self.settings.mesh_seconds is None
-            and known
-            and abs(known - self._seconds) <= _SAME_TIME * self._seconds
-        ):
-            return float(known)
-        return self._seconds
+        known: float | None = self._store.inputs(f"{name}/train").get("budget")
+        if self.settings.mesh_seconds is not None or not known:
+            return self._seconds
+        return known if abs(known - self._seconds) <= _SAME_TIME * self._seconds else self._seconds
 
     def _folder(self, spec: MethodSpec) -> Path | None:
         """Where a method is loaded from, or None if it is trained."""
-        return (
-            self._run.path
-            if (spec.key, spec.folder, spec.budget) == (RUN_METHOD, None, None)
-            else spec.folder
-        )
+        itself = (spec.key, spec.folder, spec.budget) == (RUN_METHOD, None, None)
+        return self._run.path if itself else spec.folder
 
-    def _load(self, spec: MethodSpec) -> Method:
-        folder = self._folder(spec)
-        assert folder is not None
+    def _load(self, spec: MethodSpec, folder: Path) -> Method:
         method = entry(spec.key).create(self._options)
         method.load(folder, self.capture)
         expect_views(method, [(view.camera, view.frame) for view in self._images.rendered()])

@@ -9,7 +9,7 @@ images need a trained method.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from ndf_mi.experiments.store import Store
 
 R = TypeVar("R", bound=Struct)
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -95,9 +94,3 @@ def run_units(units: Iterable[Unit[R]], store: Store, progress: Progress = SILEN
             progress.done(unit, number, of)
         records.append(record)
     return records
-
-
-def fresh_records(units: Sequence[Unit[R]], store: Store) -> list[R] | None:
-    """The records of all units, or None where one of them is missing or stale."""
-    records = [record for unit in units if (record := store.fresh(unit)) is not None]
-    return records if len(records) == len(units) else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from ndf_mi import files, machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
-from ndf_mi.experiments.core import Progress, Unit, fresh_records, run_units
+from ndf_mi.experiments.core import SILENT, Progress, Unit, run_units
 from ndf_mi.experiments.flicker import choose_sequences, measure_flicker
 from ndf_mi.experiments.protocols import DEFAULT, Protocol, named
 from ndf_mi.experiments.records import SPLITS, Flicker, FrameSequence, Measured, MethodResult, View
@@ -25,9 +26,7 @@ from ndf_mi.experiments.store import Store
 from ndf_mi.methods.base import Renderer
 
 TRAINING_IMAGES = 4
-"""Training images that are measured along with the held-out ones; they show how well a method fits what it
-has seen.
-"""
+"""Training images that are measured too; they show how well a method fits what it has seen."""
 
 
 def choose_views(
@@ -53,15 +52,19 @@ def choose_views(
             split = replace(split, frames=protocol.frames(split))
         pairs = [View(name, camera, frame) for camera, frame in split]
         count = len(pairs) if limit is None else limit
+        if name == "train":
+            count = min(count, TRAINING_IMAGES)
         order = np.random.default_rng([seed, index]).permutation(len(pairs))
-        chosen += [
-            pairs[i] for i in sorted(order[: min(count, TRAINING_IMAGES) if name == "train" else count])
-        ]
-    if not any(view.split != "train" for view in chosen):
-        raise InputError(
-            f"{capture.path}: splits", "no novel_view or novel_pose", "held-out images to compare on"
-        )
+        chosen += [pairs[i] for i in sorted(order[:count])]
+    if all(view.split == "train" for view in chosen):
+        where = f"{capture.path}: splits"
+        raise InputError(where, "no novel_view or novel_pose", "held-out images to compare on")
     return chosen
+
+
+def held_out_views(capture: Capture, max_images: int | None, seed: int) -> list[View]:
+    """The images of `choose_views` by the default protocol that no method was trained on."""
+    return [view for view in choose_views(capture, max_images, seed) if view.split != "train"]
 
 
 @dataclass(frozen=True)
@@ -86,9 +89,7 @@ class ImageSet:
 
     def rendered(self) -> list[View]:
         """All images that are rendered, once each: the views, then those that only the sequences need."""
-        return list(
-            dict.fromkeys([*self.views, *(view for sequence in self.sequences for view in sequence.views)])
-        )
+        return list(dict.fromkeys([*self.views, *(v for s in self.sequences for v in s.views)]))
 
     def sampled(self) -> set[View]:
         """The images that count in means: the views, and those of the split that is made for sequences."""
@@ -113,105 +114,81 @@ class ImageSet:
         }
 
 
-def image_units(
-    name: str, label: str, method: Renderer, images: ImageSet, pictures: Path
-) -> list[Unit[Measured]]:
-    """A unit for each image of one method: it renders the image, measures it, and writes its picture.
+@dataclass(frozen=True)
+class Measurement:
+    """The measurement of one method: a unit of work for each image, then one for each sequence.
 
-    Args:
+    Attributes:
         name: the method's name in the study.
-        label: what progress reports call it.
+        label: its name in tables.
         method: what renders.
         images: which images.
-        pictures: the method's folder for 8-bit PNG pictures; metrics of single images are of unrounded
-            values.
+        pictures: the folder for 8-bit PNG pictures, one folder a method; metrics of single images are of
+            unrounded values.
     """
-    inputs, sampled = _inputs(method, images), images.sampled()
 
-    def unit(view: View) -> Unit[Measured]:
-        def work() -> Measured:
-            return structs.replace(_measure(method, images.capture, view, pictures), sampled=view in sampled)
+    name: str
+    label: str
+    method: Renderer
+    images: ImageSet
+    pictures: Path
 
-        key = f"{name}/image/{view.split}/{view.camera}/{view.frame:06d}"
-        return Unit(key, inputs, work, Measured, (pictures / view.file,), f"render {label}")
+    def run(self, store: Store, progress: Progress = SILENT) -> MethodResult:
+        """Renders and measures what is missing or stale in `store`."""
+        images, sequences = self._units()
+        measured = run_units(images, store, progress)
+        return self._result(measured, run_units(sequences, store))
 
-    return [unit(view) for view in images.rendered()]
+    def stored(self, store: Store) -> MethodResult | None:
+        """The result if all images and sequences are there and fresh, else None."""
+        images, sequences = self._units()
+        measured = [image for unit in images if (image := store.fresh(unit)) is not None]
+        flicker = [found for unit in sequences if (found := store.fresh(unit)) is not None]
+        if len(measured) < len(images) or len(flicker) < len(sequences):
+            return None
+        return self._result(measured, flicker)
 
+    def _result(self, measured: list[Measured], flicker: list[Flicker]) -> MethodResult:
+        # Whether an image counts in the means depends on what is asked for now.
+        sampled = self.images.sampled()
+        measured = [structs.replace(image, sampled=image.view in sampled) for image in measured]
+        noise = [10 ** (-image.noise / 10) for image in measured if image.noise is not None]
+        metadata = {key: value for key, value in self.method.metadata().items() if key != "noise_psnr"}
+        if noise:
+            metadata["noise_psnr"] = -10 * float(np.log10(np.mean(noise)))
+        return MethodResult(self.name, self.label, self.method.cache_key(), metadata, measured, flicker)
 
-def flicker_units(
-    name: str, label: str, method: Renderer, images: ImageSet, pictures: Path
-) -> list[Unit[Flicker]]:
-    """A unit for each sequence of one method, whose pictures must exist; arguments as of `image_units`."""
+    def _units(self) -> tuple[list[Unit[Measured]], list[Unit[Flicker]]]:
+        capture, pictures = self.images.capture, self.pictures / self.name
+        inputs = {"images": self.method.cache_key(), "capture": capture.digest}
+        images = [
+            Unit(
+                f"{self.name}/image/{view.split}/{view.camera}/{view.frame:06d}", inputs,
+                partial(self._measure, view), Measured, (pictures / view.file,), f"render {self.label}",
+            )
+            for view in self.images.rendered()
+        ]
+        sequences = [
+            Unit(
+                f"{self.name}/flicker/{sequence.split}", {**inputs, **structs.asdict(sequence)},
+                partial(measure_flicker, capture, sequence, pictures), Flicker,
+                label=f"compare frames of {self.label}",
+            )
+            for sequence in self.images.sequences
+        ]
+        return images, sequences
 
-    def unit(sequence: FrameSequence) -> Unit[Flicker]:
-        inputs = {**_inputs(method, images), **structs.asdict(sequence)}
-        return Unit(
-            f"{name}/flicker/{sequence.split}", inputs,
-            lambda: measure_flicker(images.capture, sequence, pictures), Flicker, (),
-            f"compare frames of {label}",
-        )
-
-    return [unit(sequence) for sequence in images.sequences]
-
-
-def measure(
-    name: str, label: str, method: Renderer, images: ImageSet, pictures: Path, store: Store,
-    progress: Progress,
-) -> MethodResult:
-    """Measures what is missing or stale of one method.
-
-    Args:
-        label: its name in tables.
-        pictures: the folder for pictures, one folder a method.
-        store: where records are kept.
-    """
-    measured = run_units(image_units(name, label, method, images, pictures / name), store, progress)
-    flicker = run_units(flicker_units(name, label, method, images, pictures / name), store)
-    return _result(name, label, method, images, measured, flicker)
-
-
-def already_measured(
-    name: str, label: str, method: Renderer, images: ImageSet, pictures: Path, store: Store
-) -> MethodResult | None:
-    """The result of a method if all of its images and sequences are there and fresh, else None; arguments as
-    of `measure`.
-    """
-    measured = fresh_records(image_units(name, label, method, images, pictures / name), store)
-    flicker = fresh_records(flicker_units(name, label, method, images, pictures / name), store)
-    return (
-        None
-        if measured is None or flicker is None
-        else _result(name, label, method, images, measured, flicker)
-    )
-
-
-def _result(
-    name: str, label: str, method: Renderer, images: ImageSet, measured: list[Measured],
-    flicker: list[Flicker],
-) -> MethodResult:
-    # Whether an image counts in the means depends on what is asked for now.
-    sampled = images.sampled()
-    measured = [structs.replace(image, sampled=image.view in sampled) for image in measured]
-    noise = [10 ** (-image.noise / 10) for image in measured if image.noise is not None]
-    metadata = {key: value for key, value in method.metadata().items() if key != "noise_psnr"}
-    if noise:
-        metadata["noise_psnr"] = -10 * float(np.log10(np.mean(noise)))
-    return MethodResult(name, label, method.cache_key(), metadata, measured, flicker)
-
-
-def _inputs(method: Renderer, images: ImageSet) -> dict[str, Any]:
-    return {"images": method.cache_key(), "capture": images.capture.digest}
-
-
-def _measure(method: Renderer, capture: Capture, view: View, pictures: Path) -> Measured:
-    camera = capture.cameras[view.camera]
-    start = time.perf_counter()
-    image = method.render(camera, view.frame)
-    seconds = time.perf_counter() - start
-    mask = metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)])
-    figures = metrics.measure(capture.image(view.camera, view.frame), image, mask)
-    save_picture(pictures / view.file, image)
-    return Measured(view, seconds, figures, noise=method.metadata().get("noise_psnr"))
+    def _measure(self, view: View) -> Measured:
+        capture, method = self.images.capture, self.method
+        camera = capture.cameras[view.camera]
+        start = time.perf_counter()
+        image = method.render(camera, view.frame)
+        seconds = time.perf_counter() - start
+        mask = metrics.box_mask(camera, capture.poses.vertices[capture.poses.index(view.frame)])
+        figures = metrics.measure(capture.image(view.camera, view.frame), image, mask)
+        save_picture(self.pictures / self.name / view.file, image)
+        sampled = view in self.images.sampled()
+        return Measured(view, seconds, figures, sampled, method.metadata().get("noise_psnr"))
 
 
 def save_picture(file: Path, image: np.ndarray) -> None:

@@ -13,9 +13,9 @@ import numpy as np
 
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
-from ndf_mi.experiments.core import SILENT, Progress, run_units
-from ndf_mi.experiments.evaluate import ImageSet, choose_views, measure
-from ndf_mi.experiments.fit import fit_unit
+from ndf_mi.experiments.core import SILENT, Progress
+from ndf_mi.experiments.evaluate import ImageSet, Measurement, held_out_views
+from ndf_mi.experiments.fit import fitted
 from ndf_mi.experiments.records import Results
 from ndf_mi.experiments.settings import at_least, option
 from ndf_mi.experiments.store import Store
@@ -25,7 +25,6 @@ from ndf_mi.methods.lit_mesh import RelightableMesh
 from ndf_mi.render.lights import lights
 
 SEEN, UNSEEN = "seen", "unseen"
-LIGHTINGS = (SEEN, UNSEEN)
 WORK = "relight"
 PICTURES = "pictures"
 MESH = "mesh"
@@ -86,74 +85,51 @@ class Relighting:
         self._lights = {
             name: Light(name, lights(known.known_lighting())) for name, known in self.captures.items()
         }
-        self._images = {name: _held_out(known, settings) for name, known in self.captures.items()}
-        self._stores = {
-            name: Store(self.folder / f"{name}.json", f"relighting, {name} light") for name in LIGHTINGS
+        self._images = {
+            name: ImageSet(known, held_out_views(known, settings.max_images, settings.seed))
+            for name, known in self.captures.items()
         }
         self.results = {
             name: Results({"run": os.fspath(run), **images.about(asdict(settings), command)})
             for name, images in self._images.items()
         }
+        self._stores = {}
+        for name, results in self.results.items():
+            store = self._stores[name] = Store(self.folder / f"{name}.json", f"relighting, {name} light")
+            store.about, store.summary = results.about, results.summary
 
     def pictures(self, lighting: str) -> Path:
         """The folder of the pictures under a light, one folder a method."""
         return self.folder / WORK / PICTURES / lighting
 
     def run(self, progress: Progress = SILENT) -> dict[str, Results]:
-        """Trains the mesh and measures both methods under both lights; files are written after each piece of
-        work.
-        """
-        for name, store in self._stores.items():
-            store.about, store.summary = self.results[name].about, self.results[name].summary
-        methods: tuple[Relightable, ...] = (self._field, self._mesh(progress))
-        for name in LIGHTINGS:
-            images, results = self._images[name], self.results[name]
-            results.methods = []
+        """Trains the mesh and measures both methods under both lights; files are written after each unit."""
+        mesh = fitted(
+            RelightableMesh(self.settings.texture), MESH, f"train {RelightableMesh.label}",
+            {"texture": self.settings.texture}, self.captures[SEEN], Budget(None, self.settings.seed),
+            self.folder / WORK / MESH, self._stores[SEEN], progress,
+        )
+        methods: tuple[Relightable, ...] = (self._field, mesh)
+        for name, images in self._images.items():
             frames = sorted({view.frame for view in images.rendered()})
+            self.results[name].methods = []
             for method in methods:
                 lit = method.under(self._lights[name], frames, self.settings.spp)
-                row = measure(
-                    lit.key, lit.label, lit, images, self.pictures(name), self._stores[name], progress
-                )
-                results.methods.append(row)
+                measurement = Measurement(lit.key, lit.label, lit, images, self.pictures(name))
+                self.results[name].methods.append(measurement.run(self._stores[name], progress))
             self._stores[name].write()
         return self.results
-
-    def _mesh(self, progress: Progress) -> RelightableMesh:
-        mesh = RelightableMesh(self.settings.texture)
-        unit, ready = fit_unit(
-            MESH, f"train {mesh.label}", mesh, {"texture": self.settings.texture}, self.captures[SEEN],
-            Budget(None, self.settings.seed), self.folder / WORK / MESH, progress,
-        )
-        run_units([unit], self._stores[SEEN], progress)
-        ready()
-        return mesh
-
-
-def _held_out(capture: Capture, settings: Settings) -> ImageSet:
-    return ImageSet(
-        capture,
-        [view for view in choose_views(capture, settings.max_images, settings.seed) if view.split != "train"],
-    )
 
 
 def _expect_same_performance(capture: Capture, other: Capture) -> None:
     """Raises InputError unless all frames of `other` show the body and poses of `capture`."""
-    where = f"{other.path / 'poses.npz'}"
     if not np.array_equal(capture.body.faces, other.body.faces):
         raise InputError(other.path / "body.npz", "another body", f"that of {capture.path}")
-    for frame in other.poses.frames:
+    expected = f"the same performance as {capture.path}, in another light"
+    for frame, vertices in zip(other.poses.frames, other.poses.vertices, strict=True):
         if frame not in capture.poses.frames:
-            raise InputError(
-                where, f"frame {frame}, which {capture.path} lacks", "the same performance in another light"
-            )
-        if not np.allclose(
-            other.poses.vertices[other.poses.index(frame)],
-            capture.poses.vertices[capture.poses.index(frame)], atol=1e-5,
-        ):
-            raise InputError(
-                where, f"another pose in frame {frame}",
-                f"that of {capture.path}: the same performance in another light",
-            )
+            raise InputError(other.path / "poses.npz", f"frame {frame}, which that one lacks", expected)
+        if not np.allclose(vertices, capture.poses.vertices[capture.poses.index(frame)], atol=1e-5):
+            raise InputError(other.path / "poses.npz", f"another pose in frame {frame}", expected)
     if capture.digest == other.digest:
         raise InputError(other.path, "the capture that was trained on", "one in another light")

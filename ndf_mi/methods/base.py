@@ -14,8 +14,8 @@ and reports; all of them are optional:
     seed        the seed of training
     capture     digest of the capture that it was trained on
     options     the options that it was created with: {name: value}
-    tuned       options that a search on the training images has found: {name: value}. Other trainings on the
-                same capture may be created with them and need not search again
+    tuned       options that a search on the training images has found: {name: value}. Later trainings of the
+                same method on the same capture may be created with them and need not search again
     history     the training curve: [step, seconds, mean squared error in sRGB], in order
     note        how it was trained or where its pictures come from, one sentence for the report
     noise_psnr  PSNR in dB that the sampling noise of the last picture rendered would have by itself

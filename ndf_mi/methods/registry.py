@@ -12,7 +12,7 @@ as the method's key: `grey = "my_package.methods:Grey"`. They are loaded when fi
 
 The class is created without arguments, or with those options of the experiment that its constructor has
 parameters for, by name: `texture` (texels a side), `samples` (samples a ray), and what `metadata()["tuned"]`
-of another training found.
+of another training of the same method found.
 
 On a command line, a method is KEY[:FOLDER][@BUDGET]. With a folder it is loaded from there. Without one it is
 trained: `@converged` to convergence, `@equal-time` for as long as the run that it is compared with, and

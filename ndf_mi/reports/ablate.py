@@ -13,8 +13,7 @@ from ndf_mi.experiments.records import SPLITS, MethodResult, Results
 from ndf_mi.learn.ablations import ABLATIONS
 from ndf_mi.reports import page, tables
 from ndf_mi.reports.page import Fact
-from ndf_mi.reports.picture_rows import method_shots, spread, truth_shot
-from ndf_mi.reports.pictures import PictureRow, view_row
+from ndf_mi.reports.pictures import PictureRow, method_shots, spread, truth_shot, view_row
 from ndf_mi.reports.tables import Cell, Row, Table
 
 #: PSNR in dB on ZJU-MoCap 313, novel views and novel poses (Zhang and Chen 2022, the table of ablations).

@@ -16,8 +16,6 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from ndf_mi.experiments.trade.growth import Growth
-
 #: Stands for the page's text colour in drawings; it follows the reader's light or dark theme.
 INK = "#123456"
 LINES = ("#3b82c4", "#d97a2b", "#7a9a3a", "#b0559e", "#c9a227", "#4aa3a2")
@@ -56,11 +54,7 @@ Series = tuple[str, Sequence[float], Sequence[float]]
 
 
 def line_chart(
-    series: Sequence[Series],
-    x_label: str,
-    y_label: str,
-    title: str,
-    reference: Series | None = None,
+    series: Sequence[Series], x_label: str, y_label: str, title: str, reference: Series | None = None,
     log_x: bool = False,
 ) -> Chart:
     """A small line chart.
@@ -95,13 +89,8 @@ def line_chart(
 
 
 def front_chart(
-    points: Sequence[tuple[str, float, float]],
-    front: Sequence[int],
-    knee: int | None,
-    x_label: str,
-    y_label: str,
-    title: str,
-    reference: tuple[str, float] | None = None,
+    points: Sequence[tuple[str, float, float]], front: Sequence[int], knee: int | None, x_label: str,
+    y_label: str, title: str, reference: tuple[str, float] | None = None,
 ) -> Chart:
     """Cost and quality of points: those on the Pareto front are joined and named, its knee is ringed.
 
@@ -116,11 +105,10 @@ def front_chart(
     figure, axes = _axes(x_label, y_label, size=_LARGE)
     axes.set_xscale("log")
     hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none"}
-    rest = [point for index, point in enumerate(points) if index not in front]
-    x, y = [x for _, x, _ in rest], [y for _, _, y in rest]
-    axes.plot(x, y, **hollow, color=INK, alpha=0.55, markersize=4)
-    x, y = [points[i][1] for i in front], [points[i][2] for i in front]
-    axes.plot(x, y, "o-", color=LINES[0], linewidth=1.4, markersize=5)
+    rest = [point[1:] for index, point in enumerate(points) if index not in front]
+    axes.plot(*np.reshape(rest, (-1, 2)).T, **hollow, color=INK, alpha=0.55, markersize=4)
+    joined = np.transpose([points[i][1:] for i in front])
+    axes.plot(*joined, "o-", color=LINES[0], linewidth=1.4, markersize=5)
     keys = [Key("Pareto front", LINES[0], "solid"), Key("dominated", INK, "ring")]
     if knee is not None:
         ring = {"color": LINES[1], "markersize": 12, "markeredgewidth": 1.6}
@@ -143,24 +131,22 @@ def front_chart(
     return _chart(figure, title, alt, keys)
 
 
-def growth_chart(growth: Growth, x_label: str, y_label: str, title: str) -> Chart:
+def fit_chart(measured: Series, fit: Series, x_label: str, y_label: str, title: str) -> Chart:
     """Measurements and the curve that was fitted to them, on logarithmic axes."""
     figure, axes = _axes(x_label, y_label)
     axes.set_xscale("log")
     axes.set_yscale("log")
-    axes.plot(growth.x, growth.y, "o", color=LINES[0], markersize=5)
-    line = np.geomspace(min(growth.x), max(growth.x), 100)
-    axes.plot(line, growth.at(line), color=LINES[1], linewidth=1.3)
-    for axis, values in ((axes.xaxis, growth.x), (axes.yaxis, growth.y)):
+    (label, x, y), (formula, *curve) = measured, fit
+    axes.plot(x, y, "o", color=LINES[0], markersize=5)
+    axes.plot(*curve, color=LINES[1], linewidth=1.3)
+    for axis, values in ((axes.xaxis, x), (axes.yaxis, y)):
         _ticks(axis, max(values) / min(values))
     # A curve that hardly rises must not fill the height with its noise.
-    low, high = min(growth.y), max(growth.y)
-    if high < 2 * low:
-        axes.set_ylim(low / 1.5, high * 1.5)
-    keys = [Key("measured", LINES[0], "ring"), Key(growth.formula(), LINES[1], "solid")]
-    alt = f"Chart of {y_label} against {x_label}, fitted by {growth.formula()}. Measured: "
-    alt += "; ".join(f"{y:.3g} at {x:,g}" for x, y in zip(growth.x, growth.y, strict=True)) + "."
-    return _chart(figure, title, alt, keys)
+    if max(y) < 2 * min(y):
+        axes.set_ylim(min(y) / 1.5, max(y) * 1.5)
+    alt = f"Chart of {y_label} against {x_label}, fitted by {formula}. {label.capitalize()}: "
+    alt += "; ".join(f"{cost:.3g} at {value:,g}" for value, cost in zip(x, y, strict=True)) + "."
+    return _chart(figure, title, alt, [Key(label, LINES[0], "ring"), Key(formula, LINES[1], "solid")])
 
 
 def _axes(x_label: str, y_label: str, size: tuple[float, float] = _SMALL) -> tuple[Figure, Any]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ndf_mi.body.box import BOX_PADDING
 from ndf_mi.capture.capture import Capture
@@ -14,17 +14,8 @@ from ndf_mi.experiments.records import SPLITS, Results
 from ndf_mi.reports import page, tables, training
 from ndf_mi.reports.flicker import flicker_section
 from ndf_mi.reports.page import Fact
-from ndf_mi.reports.picture_rows import picture_rows
+from ndf_mi.reports.pictures import picture_rows
 from ndf_mi.reports.tables import Table
-
-
-@dataclass(frozen=True)
-class _Card:
-    """The first method's figure on one split, and how far it is from each other method."""
-
-    title: str
-    value: str
-    differences: list[str]
 
 
 def write_report(path: str | os.PathLike[str], results: Results, capture: Capture, pictures: Path) -> None:
@@ -74,17 +65,19 @@ def _held_out(results: Results) -> list[str]:
     return [split for split in results.splits() if split != "train"]
 
 
-def _cards(results: Results) -> list[_Card]:
+def _cards(results: Results) -> list[dict[str, Any]]:
+    """The first method's figure on each held-out split, and how far it is from each other method."""
     first, *others = results.methods
     cards = []
     for split in (split for split in _held_out(results) if split != "sequence"):
         mine = first.mean(split, "box_psnr")
-        gains = (tables.difference(mine, other.mean(split, "box_psnr")) for other in others)
-        texts = [
+        gains = [(other, tables.difference(mine, other.mean(split, "box_psnr"))) for other in others]
+        lines = [
             f"{tables.signed('box_psnr', gain)} dB compared with {tables.lower(other.label)}"
-            for gain, other in zip(gains, others, strict=True)
+            for other, gain in gains
         ]
-        cards.append(_Card(f"{first.label}, {SPLITS[split]}", tables.figure("box_psnr", mine), texts))
+        value = tables.figure("box_psnr", mine)
+        cards.append({"title": f"{first.label}, {SPLITS[split]}", "value": value, "differences": lines})
     return cards
 
 

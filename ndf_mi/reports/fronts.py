@@ -16,6 +16,24 @@ from ndf_mi.reports.charts import Chart
 #: dB by which a slower point must be better to be on a front: half of the last decimal in tables.
 WORTH = 0.005
 
+_TRUTH = (
+    "The run itself, rendered with different settings. The dashed line is the same field rendered to "
+    "convergence: the gap up to the line is rendering error, the rest is the model’s error."
+)
+_CONVERGENCE = (
+    f"The same pictures compared with the same field rendered with {CONVERGED_SAMPLES:,} samples along the "
+    "same rays, each ray to its end. This is rendering error alone."
+)
+_FIELDS = (
+    "Fields that the study trained, each with the same budget, rendered with the usual settings. Compare "
+    "them with one another only: the run itself may have been trained for longer."
+)
+_PATHS = (
+    "The field rendered by `volpath`: a different, lit picture with fewer pixels, in one view. Noise counts "
+    "as error."
+)
+_LIT = "The same pictures compared with the capture’s images, under the capture’s light."
+
 
 @dataclass(frozen=True)
 class Group:
@@ -76,42 +94,13 @@ def groups(trade: Trade) -> list[Group]:
     paths = [row for row in rows if row.field == RUN and row.by_paths]
     usual = trade.row("usual")
     model = None if usual is None else usual.model()
+    converged = None if model is None else ("converged", model)
     found = [
-        _group(
-            "Against the truth",
-            "The run itself, rendered with different settings. The dashed line is the same field rendered to "
-            "convergence: the gap up to the line is rendering error, the rest is the model’s error.",
-            own,
-            by_truth=True,
-            reference=None if model is None else ("converged", model),
-        ),
-        _group(
-            "Against convergence",
-            f"The same pictures compared with the same field rendered with {CONVERGED_SAMPLES:,} samples "
-            "along the same rays, each ray to its end. This is rendering error alone.",
-            own,
-            by_truth=False,
-        ),
-        _group(
-            "Other fields",
-            "Fields that the study trained, each with the same budget, rendered with the usual settings. "
-            "Compare them with one another only: the run itself may have been trained for longer.",
-            fields,
-            by_truth=True,
-        ),
-        _group(
-            "Path tracing",
-            "The field rendered by `volpath`: a different, lit picture with fewer pixels, in one view. "
-            "Noise counts as error.",
-            paths,
-            by_truth=False,
-        ),
-        _group(
-            "Path tracing, against the truth",
-            "The same pictures compared with the capture’s images, under the capture’s light.",
-            paths,
-            by_truth=True,
-        ),
+        _group("Against the truth", _TRUTH, own, True, converged),
+        _group("Against convergence", _CONVERGENCE, own, False),
+        _group("Other fields", _FIELDS, fields, True),
+        _group("Path tracing", _PATHS, paths, False),
+        _group("Path tracing, against the truth", _LIT, paths, True),
     ]
     return [group for group in found if group is not None]
 

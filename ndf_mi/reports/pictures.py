@@ -1,11 +1,14 @@
-"""Pictures of a report: PNGs as data URIs with their alternative texts, error maps, and rows of them."""
+"""Pictures of a report: PNGs as data URIs with their alternative texts, error maps, and rows of them: the
+truth, each method, and error maps on one scale.
+"""
 
 from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -13,7 +16,9 @@ from PIL import Image
 
 from ndf_mi.capture.capture import Capture
 from ndf_mi.experiments import metrics
-from ndf_mi.experiments.records import View
+from ndf_mi.experiments.flicker import read_picture
+from ndf_mi.experiments.records import SPLITS, Results, View
+from ndf_mi.reports import tables
 
 COLOUR_MAP = "magma"
 #: Pixels kept around the body's box.
@@ -21,6 +26,8 @@ MARGIN = 2
 #: Error maps stand right of pictures of at most this aspect, width over height, if there are at most `FEW`.
 NARROW = 0.8
 FEW = 4
+#: How many views of a split are shown; one of the splits that are not listed.
+VIEWS: Mapping[str, int] = {"novel_view": 4, "novel_pose": 4}
 
 
 @dataclass(frozen=True)
@@ -73,20 +80,20 @@ def view_row(shots: Sequence[Shot], view: View, top: float = 1.0, reference: str
         reference: what the errors refer to.
     """
     where = f"camera {view.camera}, frame {view.frame}"
-    images: list[Picture] = []
-    errors: list[tuple[Picture, ...]] = []
+    panels: list[tuple[Picture, ...]] = []
     for shot in shots:
         alt = f"{shot.label}: " + (shot.caption if where in shot.caption else f"{where}; {shot.caption}")
-        images.append(picture(shot.image, alt, shot.label, shot.caption))
-        errors.append(())
+        panel: tuple[Picture, ...] = (picture(shot.image, alt, shot.label, shot.caption),)
         if shot.error is not None:
             caption = f"mean {shot.error.mean():.3f}, scale 0 to {top:g}"
             alt = f"Error map of {shot.label} against {reference}: {where}; {caption}"
-            errors[-1] = (picture(error_map(shot.error, top), alt, f"Error: {shot.label}", caption),)
+            panel += (picture(error_map(shot.error, top), alt, f"Error: {shot.label}", caption),)
+        panels.append(panel)
     height, width = shots[0].image.shape[:2]
     if width <= NARROW * height and len(shots) <= FEW:
-        return PictureRow((*((image,) for image in images), *filter(None, errors)))
-    return PictureRow(tuple((image, *error) for image, error in zip(images, errors, strict=True)))
+        images, errors = ([panel[at : at + 1] for panel in panels if panel[at:]] for at in (0, 1))
+        panels = images + errors
+    return PictureRow(tuple(panels))
 
 
 def picture(image: np.ndarray, alt: str, label: str = "", caption: str = "") -> Picture:
@@ -99,13 +106,7 @@ def picture(image: np.ndarray, alt: str, label: str = "", caption: str = "") -> 
 
 
 def body_window(capture: Capture, view: View, shape: tuple[int, ...] | None = None) -> tuple[slice, slice]:
-    """Rows and columns that hold the body's padded box, with a small margin; all where it is out of sight.
-
-    Args:
-        capture: the cameras and poses.
-        view: which image.
-        shape: (h, w, …) of the image, where it differs from the capture's.
-    """
+    """`mask_window` of `box_mask`."""
     return mask_window(box_mask(capture, view, shape))
 
 
@@ -147,3 +148,73 @@ def gradient() -> str:
     """The colour map as a CSS gradient from low to high."""
     stops = (matplotlib.colors.to_hex(matplotlib.colormaps[COLOUR_MAP](step / 8)) for step in range(9))
     return f"linear-gradient(to right, {', '.join(stops)})"
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of pictures by split, under the split's name, and the upper end of the error maps' scale."""
+
+    splits: dict[str, list[PictureRow]]
+    top: float
+
+
+def picture_rows(results: Results, capture: Capture, pictures: Path) -> Rows:
+    """Up to `VIEWS` views of each split, with error maps that share one scale.
+
+    Args:
+        results: what was measured.
+        capture: the truth.
+        pictures: a folder for each method, by its key.
+    """
+    views = {split: spread(results, split, VIEWS.get(split, 1)) for split in results.splits()}
+    shots = {view: _shots(results, capture, pictures, view) for chosen in views.values() for view in chosen}
+    top = error_scale([shot.error for row in shots.values() for shot in row if shot.error is not None])
+    rows = {split: [view_row(shots[view], view, top) for view in chosen] for split, chosen in views.items()}
+    return Rows({SPLITS[split].capitalize(): found for split, found in rows.items()}, top)
+
+
+def spread(results: Results, split: str, count: int, inner: bool = False) -> list[View]:
+    """Views spread evenly over those of a split that count in its means and that every method has, by frame.
+
+    Args:
+        results: what was measured.
+        split: whose views.
+        count: how many at most.
+        inner: leave the first and the last view out where others remain.
+    """
+    views = [
+        image.view
+        for image in results.methods[0].images
+        if image.sampled
+        and image.view.split == split
+        and all(method.find(image.view) is not None for method in results.methods)
+    ]
+    views.sort(key=lambda view: (view.frame, view.camera))
+    if not views:
+        return []
+    picks = np.linspace(0, len(views) - 1, count + 2 if inner else min(count, len(views)))
+    indices = picks.round().astype(int).tolist()
+    return [views[i] for i in dict.fromkeys(indices[1:-1] if inner else indices)]
+
+
+def truth_shot(capture: Capture, view: View) -> Shot:
+    """The truth of a view, cut to the body."""
+    image = capture.image(view.camera, view.frame)[body_window(capture, view)]
+    return Shot("Truth", image, f"camera {view.camera}, frame {view.frame}")
+
+
+def method_shots(results: Results, capture: Capture, pictures: Path, view: View) -> list[Shot]:
+    """Each method's picture of a view, cut to the body, without errors."""
+    window = body_window(capture, view)
+    shots = []
+    for method in results.methods:
+        measured = method.find(view)
+        psnr = tables.figure("box_psnr", measured.figures["box_psnr"] if measured else None)
+        shots.append(Shot(method.label, read_picture(pictures / method.key, view)[window], f"{psnr} dB"))
+    return shots
+
+
+def _shots(results: Results, capture: Capture, pictures: Path, view: View) -> list[Shot]:
+    truth = truth_shot(capture, view)
+    shots = method_shots(results, capture, pictures, view)
+    return [truth, *(replace(shot, error=absolute_error(truth.image, shot.image)) for shot in shots)]

@@ -10,7 +10,7 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.experiments.records import SPLITS, Results
 from ndf_mi.reports import page, tables, training
 from ndf_mi.reports.page import Fact
-from ndf_mi.reports.picture_rows import picture_rows
+from ndf_mi.reports.pictures import picture_rows
 from ndf_mi.reports.tables import Table
 
 METRICS = ("box_psnr", "box_ssim")

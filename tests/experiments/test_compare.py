@@ -144,22 +144,22 @@ def test_a_new_method_appears_in_tables_pictures_and_report_with_no_other_file_t
         key, label = "grey", "Plain grey"
 
         def fit(self, capture, budget, progress=None):
-            self._size = 0.5  # noqa: E704
+            self._size = 0.5
 
         def render(self, camera, frame):
-            return np.full((camera.h, camera.w, 3), self._size, np.float32)  # noqa: E704
+            return np.full((camera.h, camera.w, 3), self._size, np.float32)
 
         def metadata(self):
-            return {"seconds": 1.0}  # noqa: E704
+            return {"seconds": 1.0}
 
         def cache_key(self):
-            return "grey"  # noqa: E704
+            return "grey"
 
         def save(self, folder):
-            files.write_text(Path(folder) / "grey.txt", "")  # noqa: E704
+            files.write_text(Path(folder) / "grey.txt", "")
 
         def load(self, folder, capture):
-            self._size = 0.5  # noqa: E704
+            self._size = 0.5
 
     registry.register(Grey)
     try:
@@ -197,6 +197,18 @@ def test_without_a_budget_a_method_is_trained_to_convergence_and_for_equal_time_
     monkeypatch.setattr(brighter, "seconds_to_converge", 2 * RUN_SECONDS)
     slow = compared(run, capture, tmp_path / "slow", "brighter")
     assert keys(slow) == ["brighter-equal-time", "brighter-converged"] and brighter.fits[-1][0] == RUN_SECONDS
+
+
+def test_what_a_search_found_does_not_reach_other_methods(run, capture, tmp_path, brighter):
+    class Foreign(Brighter):
+        key = "foreign"
+
+    registry.register(Foreign)
+    try:
+        compared(run, capture, tmp_path, "brighter", "foreign", mesh_seconds=0.5)
+    finally:
+        registry.unregister("foreign")
+    assert [rate for *_, rate in brighter.fits] == [None, 0.5, None, 0.5]
 
 
 @pytest.mark.parametrize(

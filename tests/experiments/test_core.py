@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ndf_mi.experiments.core import Progress, Unit, fresh_records, run_units
+from ndf_mi.experiments.core import Progress, Unit, run_units
 from ndf_mi.experiments.records import Trained
 from ndf_mi.experiments.store import Store
 
@@ -51,7 +51,7 @@ def test_a_changed_input_makes_only_its_record_stale(file: Path, changed: dict[s
     work, store = Work(), Store(file, "fake")
     units = [work.unit("a", **inputs), work.unit("b", **{**inputs, **changed})]
     assert store.staleness(units[0]) == "" and all(name in store.staleness(units[1]) for name in changed)
-    assert fresh_records(units[:1], store) is not None and fresh_records(units, store) is None
+    assert store.fresh(units[0]) is not None and store.fresh(units[1]) is None
     run_units(units, store)
     assert work.done == ["b"]
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ndf_mi.errors import InputError
-from ndf_mi.experiments.core import SILENT
-from ndf_mi.experiments.evaluate import ImageSet, already_measured, choose_views, measure
+from ndf_mi.experiments.evaluate import ImageSet, Measurement, choose_views
 from ndf_mi.experiments.flicker import choose_sequences, read_picture
 from ndf_mi.experiments.records import FrameSequence, View
 from ndf_mi.experiments.store import Store
@@ -41,12 +40,10 @@ class Shifted:
 def measured(capture, tmp_path):
     """Measures images with a store on disk, which is read again each time."""
 
-    def call(method, views, sequences=(), progress=None):
-        store = Store(tmp_path / "study.json", "test")
-        return measure(
-            "m", "M", method, ImageSet(capture, views, sequences), tmp_path / "pictures", store,
-            progress or SILENT,
-        )
+    def call(method, views, sequences=()):
+        images = ImageSet(capture, views, sequences)
+        measurement = Measurement("m", "M", method, images, tmp_path / "pictures")
+        return measurement.run(Store(tmp_path / "study.json", "test"))
 
     return call
 
@@ -76,23 +73,20 @@ def test_only_what_is_missing_or_stale_is_rendered(capture, measured, tmp_path):
     measured(method, views)
     assert len(method.rendered) == len(views) + 1
     other = Shifted(capture, 0.2)
-    assert measured(other, views).mean("train", "psnr") < result.mean("train", "psnr") and len(
-        other.rendered
-    ) == len(views)
+    assert measured(other, views).mean("train", "psnr") < result.mean("train", "psnr")
+    assert len(other.rendered) == len(views)
 
 
 def test_frames_of_a_sequence_are_shared_and_do_not_count_in_the_means(capture, measured):
     views = [View("novel_view", "n0", 2)]
     sequence = FrameSequence("novel_view", "n0", (2, 5))
     images = ImageSet(capture, views, [sequence])
-    assert images.rendered() == [
-        View("novel_view", "n0", 2), View("novel_view", "n0", 5),
-    ] and images.counts() == {"novel_view": 1}
+    assert images.rendered() == [View("novel_view", "n0", 2), View("novel_view", "n0", 5)]
+    assert images.counts() == {"novel_view": 1}
     method = Shifted(capture, 0.1)
     result = measured(method, views, [sequence])
-    assert method.rendered == [("n0", 2), ("n0", 5)] and [image.sampled for image in result.images] == [
-        True, False,
-    ]
+    assert method.rendered == [("n0", 2), ("n0", 5)]
+    assert [image.sampled for image in result.images] == [True, False]
     assert result.mean("novel_view", "box_psnr") == result.images[0].figures["box_psnr"]
     assert [known.sequence for known in result.flicker] == [sequence]
     # A constant shift stays, up to rounding to 8 bits: −20·log10(2/255) is more than 42 dB.
@@ -110,9 +104,8 @@ def test_a_result_counts_as_measured_only_if_it_is_complete(capture, measured, t
     images = ImageSet(capture, views, choose_sequences(capture, 12))
 
     def known(of):
-        return already_measured(
-            "m", "M", of, images, tmp_path / "pictures", Store(tmp_path / "study.json", "test")
-        )
+        store = Store(tmp_path / "study.json", "test")
+        return Measurement("m", "M", of, images, tmp_path / "pictures").stored(store)
 
     measured(method, views)
     assert known(method) is None

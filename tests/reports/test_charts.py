@@ -6,13 +6,16 @@ from xml.etree import ElementTree
 
 import pytest
 
-from ndf_mi.experiments.trade.growth import fit_growth
 from ndf_mi.reports import charts
 
 POINTS = [("quick", 0.1, 20.0), ("beaten", 0.3, 19.0), ("middle", 0.4, 25.0), ("best", 1.0, 26.0)]
 
 
-@pytest.fixture(params=["line", "front", "growth"])
+MEASURED = ("measured", [1e3, 2e3, 1e4], [0.1, 0.2, 1.0])
+FIT = ("∝ x^1.00", [1e3, 1e4], [0.1, 1.0])
+
+
+@pytest.fixture(params=["line", "front", "fit"])
 def chart(request):
     if request.param == "line":
         series = [("NDF", [1.0, 2.0, 3.0], [20.0, math.nan, 31.5])]
@@ -21,14 +24,13 @@ def chart(request):
         )
     if request.param == "front":
         return charts.front_chart(POINTS, [0, 2, 3], 2, "seconds", "dB", "Title", ("converged", 27.0))
-    return charts.growth_chart(fit_growth([1e3, 2e3, 1e4], [0.1, 0.2, 1.0]), "rays", "s", "Title")
+    return charts.fit_chart(MEASURED, FIT, "rays", "s", "Title")
 
 
 def test_a_chart_scales_and_takes_the_page_s_colour(chart):
     root = ElementTree.fromstring(chart.svg)
-    assert (
-        root.tag.endswith("svg") and "viewBox" in root.attrib and not {"width", "height"} & set(root.attrib)
-    )
+    assert root.tag.endswith("svg") and "viewBox" in root.attrib
+    assert not {"width", "height"} & set(root.attrib)
     assert "currentColor" in chart.svg and charts.INK not in chart.svg and "<metadata" not in chart.svg
     assert chart.title == "Title"
 
@@ -69,9 +71,8 @@ def test_any_number_of_lines_can_be_told_apart():
     assert not charts.line_chart([("alone", [1, 2], [3, 4])], "x", "y", "").legend
 
 
-def test_growth_is_described_by_its_fit():
-    growth = fit_growth([1e3, 2e3, 1e4], [0.1, 0.2, 1.0])
-    alt = charts.growth_chart(growth, "rays", "s", "").alt
-    assert growth.formula() in alt and "1 at 10,000" in alt
+def test_measurements_are_described_with_their_fit():
+    alt = charts.fit_chart(MEASURED, FIT, "rays", "s", "").alt
+    assert FIT[0] in alt and "1 at 10,000" in alt
     # A level cost does not fill the height with its noise.
-    charts.growth_chart(fit_growth([1, 2, 3], [1.0, 1.01, 0.99]), "rays", "s", "")
+    charts.fit_chart(("measured", [1, 2, 3], [1.0, 1.01, 0.99]), ("about 1", [1, 3], [1, 1]), "rays", "s", "")

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from ndf_mi.experiments.trade.growth import fit_growth
+from growth_fit import fit_growth
 
 X = np.array([8.0, 16, 32, 64, 128, 256, 512])
 
@@ -31,12 +30,12 @@ def test_noise_moves_the_exponent_little_and_shows_in_the_residual():
     assert growth.exponent == pytest.approx(1.0, abs=0.15) and 0.005 < growth.residual < 0.05
 
 
-def test_what_does_not_grow_is_told_so():
+def test_a_constant_is_described_as_such():
     growth = fit_growth(X, np.full(len(X), 3.0))
     assert growth.level and "hardly changes" in growth.sentence("Memory", "frames", "MiB")
 
 
-def test_what_levels_off_is_told_so():
+def test_a_curve_that_levels_off_is_described_as_such():
     assert "levels off" in fit_growth(X, np.minimum(3.0 * X, 300.0)).sentence("Memory", "rays", "MiB")
     assert not any(fit_growth(X, y).levels_off for y in (X**0.5, 5 + X, np.full(len(X), 3.0)))
 
