@@ -17,16 +17,11 @@ _KINDS = {int: "a whole number", float: "a number", bool: "true or false", str: 
 
 
 def option_value(options: type, name: str, value: Any, where: str) -> Any:
-    """A JSON value as the type of an option; lists become tuples, and whole numbers are numbers.
-
-    Args:
-        options: the dataclass of the option.
-        name: the option.
-        value: the value.
-        where: file and key, or command-line option, for messages.
+    """A JSON value as the type of the option ``name`` of a dataclass; lists become tuples, and whole numbers
+    are numbers.
 
     Raises:
-        InputError: there is no such option, or the value has another type.
+        InputError: at ``where``: there is no such option, or the value has another type.
     """
     hints = get_type_hints(options)
     if name not in hints:
@@ -40,15 +35,10 @@ def option_value(options: type, name: str, value: Any, where: str) -> Any:
 
 
 def read_options(options: type[T], values: dict[str, Any], where: str) -> T:
-    """An instance of the dataclass `options`; missing entries have its defaults.
-
-    Args:
-        options: the dataclass.
-        values: the entries as JSON values.
-        where: file and key, for messages.
+    """An instance of the dataclass `options` from JSON values; missing entries have its defaults.
 
     Raises:
-        InputError: an entry does not exist, has another type, or is refused by the dataclass.
+        InputError: at ``where``: an entry does not exist, has another type, or is refused by the dataclass.
     """
     assert dataclasses.is_dataclass(options)
     converted = {name: option_value(options, name, value, where) for name, value in values.items()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Literal
 
@@ -38,6 +37,8 @@ MOST_NAMES = 40
 
 Place = Literal["world", "centre", "treadmill"]
 
+_DATA = Path(__file__).parent / "data"
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -50,23 +51,17 @@ class Motion:
 
 def shipped_clips() -> tuple[str, ...]:
     """The names of the clips that come with the package."""
-    files = resources.files("ndf_mi.body").joinpath("data").iterdir()
-    return tuple(sorted(Path(f.name).stem for f in files if f.name.endswith(".bvh")))
+    return tuple(sorted(path.stem for path in _DATA.glob("*.bvh")))
 
 
 def load_clip(name_or_path: str | os.PathLike[str]) -> Clip:
-    """A clip of the package by its name, or any BVH file by its path.
-
-    Raises:
-        InputError: there is neither such a clip nor such a file, or the file is not BVH.
-    """
+    """A clip of the package by its name, or any BVH file by its path; InputError if there is neither, or the
+    file is not BVH."""
     names = shipped_clips()
-    if str(name_or_path) in names:
-        with resources.as_file(resources.files("ndf_mi.body") / "data" / f"{name_or_path}.bvh") as path:
-            return read_bvh(path)
-    if not Path(name_or_path).is_file():
+    path = _DATA / f"{name_or_path}.bvh" if str(name_or_path) in names else Path(name_or_path)
+    if not path.is_file():
         raise InputError("motion", str(name_or_path), f"a BVH file or one of the clips {', '.join(names)}")
-    return read_bvh(name_or_path)
+    return read_bvh(path)
 
 
 def retarget(body: Body, clip: Clip, times: np.ndarray | Sequence[float] | None = None, *,

@@ -1,17 +1,7 @@
 """SMPL's joints: names, tree, a skeleton at rest, and their counterparts in the ``cmu_mb`` rig.
 
-=============================================  ===============================================
-joint of the ``cmu_mb`` rig                    joint of SMPL
-=============================================  ===============================================
-Hips                                           pelvis
-UpLeg, Leg, Foot, ToeBase of Left, Right       hip, knee, ankle, foot of left, right
-LowerBack, Spine, Spine1                       spine1, spine2, spine3
-Neck, Head                                     neck, head
-Shoulder, Arm, ForeArm, Hand of Left, Right    collar, shoulder, elbow, wrist of left, right
-FingerBase of Left, Right                      hand of left, right: only SMPL's 24 joints have it
-LHipJoint, RHipJoint, Neck1, LThumb, RThumb    none: they follow their parents
-HandFinger1 of Left, Right                     none
-=============================================  ===============================================
+Only SMPL's 24 joints have a counterpart of FingerBase. LHipJoint, RHipJoint, Neck1, LThumb, RThumb and
+HandFinger1 have none, and follow their parents.
 """
 
 from __future__ import annotations

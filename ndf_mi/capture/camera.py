@@ -60,9 +60,7 @@ class Camera:
 
     def pinhole(self) -> Camera:
         """The pinhole camera at the same place: no distortion, square pixels of the mean focal length."""
-        if self.is_pinhole:
-            return replace(self, fl_y=self.fl_x, distortion=(0.0,) * 5)
-        focal = 0.5 * (self.fl_x + self.fl_y)
+        focal = self.fl_x if self.is_pinhole else 0.5 * (self.fl_x + self.fl_y)
         return replace(self, fl_x=focal, fl_y=focal, distortion=(0.0,) * 5)
 
     def distort(self, normalised: np.ndarray) -> np.ndarray:
@@ -75,13 +73,8 @@ class Camera:
         x, y = normalised[:, 0], normalised[:, 1]
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        return np.stack(
-            [
-                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-            ],
-            axis=1,
-        )
+        return np.stack([x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                         y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=1)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Projects (N, 3) world points to (N, 2) float64 pixel coordinates, distortion included.
@@ -103,10 +96,8 @@ class Camera:
     def rays(self, pixels: mi.Point2f) -> mi.Ray3f:
         """World rays of unit direction through pixels; (0.5, 0.5) is the centre of the top left one.
 
-        Intrinsics and pose are opaque values, so that one kernel serves all cameras.
-
-        Raises:
-            ValueError: the camera has distortion; use ``pinhole()``.
+        Intrinsics and pose are opaque values, so that one kernel serves all cameras. A camera with distortion
+        raises ValueError: use ``pinhole()``.
         """
         if any(self.distortion):
             raise ValueError(f"camera {self.name} has distortion: use camera.pinhole()")
@@ -120,23 +111,13 @@ class Camera:
         right, up, back, origin = columns
         return mi.Ray3f(mi.Point3f(origin), dr.normalize(right * x + up * y - back))
 
-    def sensor(
-        self,
-        spp: int = 1,
-        sampler: str = "independent",
-        rfilter: str = "box",
-        crop: tuple[int, int, int, int] | None = None,
-    ) -> dict[str, Any]:
+    def sensor(self, spp: int = 1, sampler: str = "independent", rfilter: str = "box",
+               crop: tuple[int, int, int, int] | None = None) -> dict[str, Any]:
         """This camera as the dictionary of a Mitsuba ``perspective`` sensor with an ``hdrfilm``.
 
-        Args:
-            spp: samples per pixel.
-            sampler: name of the sampler plugin.
-            rfilter: name of the reconstruction filter plugin.
-            crop: x, y, width, height in pixels of the part to render; by default the whole image.
-
-        Raises:
-            ValueError: the camera has distortion or pixels that are not square; use ``pinhole()``.
+        ``sampler`` and ``rfilter`` name Mitsuba's plugins; ``crop`` is the x, y, width and height in pixels of
+        the part to render, by default the whole image. A camera with distortion or pixels that are not square
+        raises ValueError: use ``pinhole()``.
         """
         if not self.is_pinhole:
             raise ValueError(f"camera {self.name} has distortion or non-square pixels: use camera.pinhole()")

@@ -23,7 +23,6 @@ IMAGE_PATTERN = "images/{camera}/{frame:06d}.png"
 MASK_PATTERN = "masks/{camera}/{frame:06d}.png"
 
 _DISTORTION = ("k1", "k2", "k3", "p1", "p2")
-_REPAIR = "Make a capture with: ndf-mi capture synthesise OUT"
 #: Names that are folders on any system, inside the capture.
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
 
@@ -132,21 +131,14 @@ class Document:
 
     def as_json(self) -> dict[str, Any]:
         """The document as JSON values, without empty splits."""
+        splits = {name: {"cameras": list(split.cameras), "frames": [int(f) for f in split.frames]}
+                  for name, split in self.splits.items() if len(split)}
         value: dict[str, Any] = {
-            "format": FORMAT,
-            "version": VERSION,
-            "name": self.name,
-            "units": "m",
+            "format": FORMAT, "version": VERSION, "name": self.name, "units": "m",
             "background": [float(c) for c in self.background],
-            "image_pattern": self.image_pattern,
-            "mask_pattern": self.mask_pattern,
-            "cameras": [_camera_as_json(camera) for camera in self.cameras.values()],
-            "splits": {
-                name: {"cameras": list(split.cameras), "frames": [int(f) for f in split.frames]}
-                for name, split in self.splits.items()
-                if len(split)
-            },
-        }
+            "image_pattern": self.image_pattern, "mask_pattern": self.mask_pattern,
+            "cameras": [_camera_as_json(camera) for camera in self.cameras.values()], "splits": splits,
+        }  # fmt: skip
         if self.lighting is not None:
             value["lighting"] = {"scene": self.lighting}
         if self.imported is not None:
@@ -186,10 +178,11 @@ def parse_document(folder: Path) -> tuple[Document | None, list[InputError]]:
     """Reads ``folder/capture.json``: the document and no issues, or None and all issues."""
     issues = Issues(folder / FILE_NAME)
     try:
-        raw = load_json(issues.file, "a capture's description", _REPAIR)
+        raw = load_json(issues.file, "a capture's description, a JSON object in UTF-8")
     except InputError as error:
         found = error.found if folder.is_dir() else "no such folder"
-        return None, [InputError(error.where, found, error.expected, error.repair)]
+        repair = "" if issues.file.exists() else "Make a capture with: ndf-mi capture synthesise OUT"
+        return None, [InputError(error.where, found, error.expected, repair)]
     if not isinstance(raw, dict):
         issues.add("", shown(raw), "a JSON object")
     if issues.found or not _is_known(raw, issues):

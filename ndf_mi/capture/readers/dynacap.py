@@ -48,19 +48,19 @@ def read_dynacap(folder: Path, selection: Selection | None = None, fits: str | N
         annotations = read_annotations(folder, None)
         rows = range(min(len(annotations.rows), 2 * FRAMES))
         numbers = annotations.numbers(rows, lambda file: int(Path(file).stem))
-        splits = _splits(folder, selection, list(annotations.calibrations), numbers)
+        cameras, above = annotations.calibrations, 0
+        splits = _splits(folder, selection, list(cameras), numbers)
         images = annotations.images(splits, rows, numbers)
-        return source_with_fits(folder, fits, LAYOUT, name, selection, annotations.calibrations, splits,
-                                images)
-    cameras = read_calibrations(_calibration_file(folder))
-    numbers = sorted(numbered_files(fit_folder(folder, fits)))
-    splits = _splits(folder, selection, list(cameras), numbers)
-    images = {}
-    for camera, frame in {pair for split in splits.values() for pair in split}:
-        stem = f"{camera}/image_c_{camera}_f_{frame}"
-        images[camera, frame] = (_file(folder / _IMAGES / stem, ".jpg", ".png"),
-                                 _file(folder / _MASKS / stem, ".png", ".jpg"))
-    return source_with_fits(folder, fits, LAYOUT, name, selection, cameras, splits, images, mask_above=127)
+    else:
+        cameras, above = read_calibrations(_calibration_file(folder)), 127
+        numbers = sorted(numbered_files(fit_folder(folder, fits)))
+        splits = _splits(folder, selection, list(cameras), numbers)
+        images = {}
+        for camera, frame in {pair for split in splits.values() for pair in split}:
+            stem = f"{camera}/image_c_{camera}_f_{frame}"
+            images[camera, frame] = (_file(folder / _IMAGES / stem, ".jpg", ".png"),
+                                     _file(folder / _MASKS / stem, ".png", ".jpg"))
+    return source_with_fits(folder, fits, LAYOUT, name, selection, cameras, splits, images, above)
 
 
 def _splits(folder: Path, selection: Selection, names: list[str], numbers: Sequence[int]) -> dict[str, Split]:
