@@ -4,6 +4,7 @@ OpenCV.
 
 from __future__ import annotations
 
+import functools
 import pickle
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -108,56 +109,63 @@ def smpl_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "smpl.pkl", folder / "uv.npz"
 
 
+def write_subject(
+    root: Path, name: str, count: int, numbers: Sequence[int], rows: Sequence[int] = (),
+    cameras: Sequence[int] | Callable[[int], Sequence[int]] | None = None, *,
+    pattern: str = "stem", fits: str = "new_params", masks: str = "mask_cihp", entries: int = 72,
+    side: int = SIDE, stored: bool = True, calibrated: int | None = None, undistorted: bool = False,
+) -> SimpleNamespace:  # fmt: skip
+    """Writes a subject's folder: all of ``annots.npy``, and of the rest what the rows and cameras (those of
+    a row, if they are a function) need.
+    """
+    folder = root / name
+    folder.mkdir()
+    distortion = np.zeros(5) if undistorted else DISTORTION
+    cams = ring(count, calibrated or side, distortion)
+    ims = [{"ims": [name_of(number, camera, pattern) for camera in range(count)]} for number in numbers]
+    np.save(folder / "annots.npy", {"cams": cams, "ims": ims}, allow_pickle=True)
+    (folder / fits).mkdir()
+    held = model()
+    drawn = cams if calibrated is None else ring(count, side, distortion)
+    truth = {}
+    for row in rows:
+        number = numbers[row]
+        rng = np.random.default_rng(row)
+        theta = rng.normal(size=(24, 3)) * 0.15
+        theta[0] = 0
+        beta = np.random.default_rng(9).normal(size=10)
+        # Upright in a world with z up, then turned about it.
+        rh = (Rotation.from_euler("z", 0.4 + 0.1 * row) * Rotation.from_euler("x", np.pi / 2)).as_rotvec()
+        th = np.array([0.3, -0.2, 1.0]) + rng.normal(size=3) * 0.03
+        vertices = posed(held, theta, beta, rh, th, fits == "new_params")
+        truth[number] = vertices
+        fit = {"poses": theta.reshape(1, 72)[:, 72 - entries :], "shapes": beta[None], "Rh": rh[None],
+               "Th": th[None]}
+        np.save(folder / fits / f"{number}.npy", fit, allow_pickle=True)
+        if stored:
+            place = folder / fits.replace("params", "vertices")
+            place.mkdir(exist_ok=True)
+            np.save(place / f"{number}.npy", vertices.astype(np.float32))
+        for camera in range(count) if cameras is None else cameras(row) if callable(cameras) else cameras:
+            mask = picture(drawn, camera, vertices, held["f"], side)
+            image = folder / name_of(number, camera, pattern)
+            label = folder / masks / Path(name_of(number, camera, pattern)).with_suffix(".png")
+            for file in (image, label):
+                file.parent.mkdir(parents=True, exist_ok=True)
+            pixels = np.where(mask[..., None], COLOUR, [30, 90, 30]).astype(np.uint8)
+            Image.fromarray(pixels).save(image, quality=98, subsampling=0)
+            Image.fromarray(np.where(mask, np.uint8(1 + row % 19), np.uint8(0))).save(label)
+    return SimpleNamespace(folder=folder, cams=cams, truth=truth, faces=held["f"])
+
+
 @pytest.fixture
 def write_zju(tmp_path: Path) -> Callable[..., SimpleNamespace]:
-    """Writes a subject's folder: all of ``annots.npy``, and of the rest what the rows and cameras named
-    need.
-    """
+    """`write_subject` into the folder of a test."""
+    return functools.partial(write_subject, tmp_path)
 
-    def write(
-        name: str, count: int, numbers: Sequence[int], rows: Sequence[int] = (),
-        cameras: Sequence[int] | None = None, *,
-        pattern: str = "stem", fits: str = "new_params", masks: str = "mask_cihp", entries: int = 72,
-        side: int = SIDE, stored: bool = True,
-        calibrated: int | None = None, undistorted: bool = False,
-    ) -> SimpleNamespace:  # fmt: skip
-        folder = tmp_path / name
-        folder.mkdir()
-        distortion = np.zeros(5) if undistorted else DISTORTION
-        cams = ring(count, calibrated or side, distortion)
-        ims = [{"ims": [name_of(number, camera, pattern) for camera in range(count)]} for number in numbers]
-        np.save(folder / "annots.npy", {"cams": cams, "ims": ims}, allow_pickle=True)
-        (folder / fits).mkdir()
-        held = model()
-        drawn = cams if calibrated is None else ring(count, side, distortion)
-        truth = {}
-        for row in rows:
-            number = numbers[row]
-            rng = np.random.default_rng(row)
-            theta = rng.normal(size=(24, 3)) * 0.15
-            theta[0] = 0
-            beta = np.random.default_rng(9).normal(size=10)
-            # Upright in a world with z up, then turned about it.
-            rh = (Rotation.from_euler("z", 0.4 + 0.1 * row) * Rotation.from_euler("x", np.pi / 2)).as_rotvec()
-            th = np.array([0.3, -0.2, 1.0]) + rng.normal(size=3) * 0.03
-            vertices = posed(held, theta, beta, rh, th, fits == "new_params")
-            truth[number] = vertices
-            fit = {"poses": theta.reshape(1, 72)[:, 72 - entries :], "shapes": beta[None], "Rh": rh[None],
-                   "Th": th[None]}
-            np.save(folder / fits / f"{number}.npy", fit, allow_pickle=True)
-            if stored:
-                place = folder / fits.replace("params", "vertices")
-                place.mkdir(exist_ok=True)
-                np.save(place / f"{number}.npy", vertices.astype(np.float32))
-            for camera in range(count) if cameras is None else cameras:
-                mask = picture(drawn, camera, vertices, held["f"], side)
-                image = folder / name_of(number, camera, pattern)
-                label = folder / masks / Path(name_of(number, camera, pattern)).with_suffix(".png")
-                for file in (image, label):
-                    file.parent.mkdir(parents=True, exist_ok=True)
-                pixels = np.where(mask[..., None], COLOUR, [30, 90, 30]).astype(np.uint8)
-                Image.fromarray(pixels).save(image, quality=98, subsampling=0)
-                Image.fromarray(np.where(mask, np.uint8(1 + row % 19), np.uint8(0))).save(label)
-        return SimpleNamespace(folder=folder, cams=cams, truth=truth, faces=held["f"])
 
-    return write
+@pytest.fixture(scope="session")
+def small_subject(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """A subject of 19 cameras and 500 frames, with the files of two of each; to be copied."""
+    return write_subject(tmp_path_factory.mktemp("zju"), "CoreView_377", 19, range(500), (0, 300), (0, 6),
+                         side=32)

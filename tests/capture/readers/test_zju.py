@@ -7,6 +7,7 @@ from __future__ import annotations
 import pickle
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
@@ -163,7 +164,8 @@ def test_differences_from_the_protocol_are_known_after_importing(write_zju, smpl
     reported in its notes.
     """
     rows = sorted({*range(0, 300, 5), *range(300, 500, 30)})
-    written = write_zju("CoreView_377", 22, range(500), rows, side=24)
+    written = write_zju("CoreView_377", 22, range(500), rows,
+                        lambda row: range(22) if row % 30 == 0 else (0, 6, 12, 18), side=24)
     names = [f"Camera_B{i + 1}" for i in range(22)]
     test = tuple(name for i, name in enumerate(names) if i not in (0, 6, 12, 18, 21))
     source = read_zju(written.folder, selection=Selection(frames=5, test_cameras=test), size=None)
@@ -178,8 +180,9 @@ def test_differences_from_the_protocol_are_known_after_importing(write_zju, smpl
 
 class TestBadInput:
     @pytest.fixture
-    def written(self, write_zju):
-        return write_zju("CoreView_377", 19, range(500), (0, 300), (0, 6), side=32)
+    def written(self, small_subject, tmp_path: Path):
+        folder = shutil.copytree(small_subject.folder, tmp_path / "CoreView_377")
+        return SimpleNamespace(**{**vars(small_subject), "folder": folder})
 
     def attempt(self, folder: Path, smpl_file, out: Path, **changes) -> InputError:
         selection = Selection(300, 300, ("Camera_B1",), ("Camera_B7",))
