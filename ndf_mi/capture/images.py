@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,20 @@ from ndf_mi.errors import InputError
 from ndf_mi.files import replacing
 
 
+@contextmanager
+def opened_image(path: Path, formats: tuple[str, ...], expected: str) -> Iterator[Image.Image]:
+    """An image file; errors while it is decoded become InputErrors, with what is ``expected``."""
+    try:
+        with Image.open(path, formats=formats) as image:
+            yield image
+    except InputError:
+        raise
+    except FileNotFoundError:
+        raise InputError(path, "no such file", expected) from None
+    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
+        raise InputError(path, f"a file that cannot be decoded ({error})", expected) from None
+
+
 def read_png(path: Path, mode: str, size: tuple[int, int]) -> np.ndarray:
     """Reads an 8-bit PNG of Pillow mode ``RGB`` or ``L`` and of ``size`` (w, h); uint8 (h, w, 3) or (h, w).
 
@@ -20,20 +36,13 @@ def read_png(path: Path, mode: str, size: tuple[int, int]) -> np.ndarray:
         InputError: the file is missing, truncated, not an image, or of another mode or size.
     """
     kind = {"RGB": "8-bit RGB", "L": "8-bit, one channel"}[mode]
-    try:
-        with Image.open(path, formats=["PNG"]) as image:
-            if image.size != size:
-                found = f"{image.width} x {image.height} pixels"
-                raise InputError(path, found, f"{size[0]} x {size[1]}, as its camera in capture.json")
-            if image.mode != mode:
-                raise InputError(path, f"a PNG of mode {image.mode}", f"{kind} (mode {mode})")
-            return np.asarray(image)
-    except FileNotFoundError:
-        raise InputError(path, "no such file", f"a PNG, {kind}, {size[0]} x {size[1]} pixels") from None
-    except InputError:
-        raise
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(path, f"a file that cannot be decoded ({error})", f"a whole PNG, {kind}") from None
+    with opened_image(path, ("PNG",), f"a whole PNG, {kind}, {size[0]} x {size[1]} pixels") as image:
+        if image.size != size:
+            raise InputError(path, f"{image.width} x {image.height} pixels",
+                             f"{size[0]} x {size[1]}, as its camera in capture.json")
+        if image.mode != mode:
+            raise InputError(path, f"a PNG of mode {image.mode}", f"{kind} (mode {mode})")
+        return np.asarray(image)
 
 
 def read_image(path: Path, size: tuple[int, int]) -> np.ndarray:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +10,9 @@ from PIL import Image
 from scipy.ndimage import map_coordinates
 
 from ndf_mi.capture.camera import Camera
-from ndf_mi.capture.images import source_positions
-from ndf_mi.errors import InputError
+from ndf_mi.capture.images import opened_image, source_positions
+
+_KINDS = (("JPEG", "PNG"), "a whole image, JPEG or PNG")
 
 
 class Rectifier:
@@ -68,7 +67,7 @@ def shrunk(camera: Camera, scale: float) -> Camera:
 
 def size_of(path: Path) -> tuple[int, int]:
     """w, h of an image file; errors as `read_rgb`."""
-    with _opened(path) as image:
+    with opened_image(path, *_KINDS) as image:
         return image.size
 
 
@@ -78,7 +77,7 @@ def read_rgb(path: Path, size: tuple[int, int]) -> np.ndarray:
     Raises:
         InputError: the file is missing, truncated or not an image.
     """
-    with _opened(path) as image:
+    with opened_image(path, *_KINDS) as image:
         pixels = image.convert("RGB")
         return np.asarray(pixels if pixels.size == size else pixels.resize(size, Image.Resampling.BILINEAR))
 
@@ -86,7 +85,7 @@ def read_rgb(path: Path, size: tuple[int, int]) -> np.ndarray:
 def read_labels(path: Path, size: tuple[int, int], above: int) -> np.ndarray:
     """(h, w) bool of a mask file: whether a channel is above ``above``; resized by nearest pixels. Errors as
     `read_rgb`."""
-    with _opened(path) as image:
+    with opened_image(path, *_KINDS) as image:
         mask = np.asarray(image)
     if mask.ndim == 3:
         mask = mask[..., :1] if mask.shape[2] == 2 else mask[..., :3]  # without opacity
@@ -94,16 +93,3 @@ def read_labels(path: Path, size: tuple[int, int], above: int) -> np.ndarray:
     mask = mask if mask.dtype == bool else mask > above
     rows, columns = (np.arange(n) * m // n for n, m in zip(size[::-1], mask.shape, strict=True))
     return mask[np.ix_(rows, columns)]
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
-    """The image; errors while it is decoded become InputErrors."""
-    try:
-        with Image.open(path, formats=["JPEG", "PNG"]) as image:
-            yield image
-    except FileNotFoundError:
-        raise InputError(path, "no such file", "an image, JPEG or PNG") from None
-    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-        found = f"a file that cannot be decoded ({error})"
-        raise InputError(path, found, "a whole image, JPEG or PNG") from None
