@@ -65,14 +65,15 @@ class Contours:
 
     def __init__(self, faces: np.ndarray) -> None:
         self._faces = faces.astype(np.int64)
-        edges = trimesh.geometry.faces_to_edges(faces)
+        edges = np.sort(trimesh.geometry.faces_to_edges(faces), axis=1)
         opposite = opposite_half_edges(faces)
         one = np.nonzero(opposite > np.arange(len(opposite)))[0]
+        one = one[np.lexsort(edges[one].T[::-1])]  # by vertices, whatever the order of the triangles
         other = opposite[one]
         self._inner = edges[one]
         self._wings = np.stack([one, other], axis=1) // 3
         self._opposite = np.roll(self._faces, 1, axis=1).ravel()[other]
-        self._boundary = np.unique(np.sort(edges[opposite < 0], axis=1), axis=0)
+        self._boundary = np.unique(edges[opposite < 0], axis=0)
 
     def edges(self, vertices: np.ndarray, camera: Camera) -> np.ndarray:
         """(E, 2) vertex indices of the contour edges of the mesh with these (V, 3) vertices, metres."""
