@@ -223,18 +223,14 @@ def _play(body: Body, clip: Clip, joints: np.ndarray, columns: list[int], align:
 
 def _forward(body: Body, motion: Motion, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """World rotations (T, J, 3, 3) and positions (T, J, 3) of the body's joints, float64."""
-    count = len(motion.pose)
-    local = Rotation.from_rotvec(motion.pose.reshape(-1, 3)).as_matrix().reshape(count, -1, 3, 3)
+    assert body.parents is not None
+    rotations = Rotation.from_rotvec(motion.pose.reshape(-1, 3)).as_matrix().reshape(*motion.pose.shape, 3)
     root = Rotation.from_rotvec(motion.root_rotation).as_matrix()
-    turns, at = np.empty_like(local), np.empty((count, len(joints), 3))
-    for j, p in enumerate(body.parents):  # type: ignore[arg-type]
-        if p < 0:
-            turns[:, j] = root @ local[:, j]
-            at[:, j] = root @ joints[j] + motion.translation
-        else:
-            turns[:, j] = turns[:, p] @ local[:, j]
-            at[:, j] = at[:, p] + turns[:, p] @ (joints[j] - joints[p])
-    return turns, at
+    rotations[:, 0] = root @ rotations[:, 0]
+    offsets = joints - joints[body.parents]
+    positions = np.tile(offsets, (len(root), 1, 1))
+    positions[:, 0] = root @ joints[0] + motion.translation
+    return Clip("", body.joint_names or (), body.parents, offsets, 1.0, positions, rotations).forward()
 
 
 def _hip_centre(body: Body, motion: Motion, joints: np.ndarray) -> np.ndarray:
