@@ -79,9 +79,12 @@ def import_capture(
     for name, image in images.items():
         calibration = source.calibrations[name]
         cameras[name] = calibration.camera(calibration.size or size_of(image), turn)
+    imported = Imported(source.layout, source.subject, tuple(source.calibrations), source.selection.frames,
+                        source.selection.test_frames, scale)
+    ideal = {name: shrunk(cameras[name], scale) for name in source.calibrations if name in cameras}
+    document = Document(source.name, BACKGROUND, ideal, source.splits, imported=imported)
     with _staged(out) as stage:
-        _write(source, CaptureWriter(stage, _document(source, cameras, scale)), body, poses, cameras, scale,
-               progress)
+        _write(source, CaptureWriter(stage, document), body, poses, cameras, scale, progress)
     return lines
 
 
@@ -137,15 +140,6 @@ def _vertices(
 def _shape(fits: Fits, body: Body) -> np.ndarray:
     """The shape coefficients, at most as many as the model has."""
     return fits.shape[: body.shape_count] if body.skinned else fits.shape
-
-
-def _document(source: Source, raw: dict[str, Camera], scale: float) -> Document:
-    """The contents of ``capture.json``, with pinhole cameras in the layout's order."""
-    cameras = {name: shrunk(raw[name], scale) for name in source.calibrations if name in raw}
-    chosen = source.selection
-    imported = Imported(source.layout, source.subject, tuple(source.calibrations), chosen.frames,
-                        chosen.test_frames, scale)
-    return Document(source.name, BACKGROUND, cameras, source.splits, imported=imported)
 
 
 def _write(source: Source, writer: CaptureWriter, body: Body, poses: Poses, raw: dict[str, Camera],

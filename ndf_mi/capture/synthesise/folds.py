@@ -37,11 +37,7 @@ class System:
 
 
 class Folds:
-    """All fold systems of one layer.
-
-    Attributes:
-        fields: (N, K) metres, K twice the number of systems.
-    """
+    """All fold systems of one layer: ``fields``, (N, K) metres, with K twice the number of systems."""
 
     def __init__(self, systems: list[System]) -> None:
         self._systems = systems

@@ -91,13 +91,8 @@ class Sheet:
 
 
 class Frame:
-    """Limb coordinates of rest points on a body: positions along and around arms, legs and trunk.
-
-    Args:
-        body: a body with ``joint_names``.
-        shape: (B,) its shape coefficients.
-        rest: (N, 3) points.
-        weights: (N, J) their skinning weights.
+    """Limb coordinates of points ``rest``, (N, 3), with skinning ``weights``, (N, J), on a body at the
+    coefficients ``shape``, (B,): positions along and around arms, legs and trunk.
 
     Attributes (all (N,)):
         left: whether x > 0, on the performer's left.
