@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from ndf_mi.commands.command_line import check_ranges
 from ndf_mi.errors import InputError
 
 if TYPE_CHECKING:
@@ -84,45 +85,26 @@ class Animate:
         from ndf_mi.run import Run
 
         check_suffix(self.out)
-        self._check()
+        check_ranges(self)
+        for name in ("turns", "azimuth", "elevation"):
+            if getattr(self, name) is not None and self.camera != "orbit":
+                raise InputError(f"--{name}", f"--camera {self.camera} as well", "--camera orbit")
         run = Run.load(self.run_folder)
         shape = None if self.shape is None else parse_shape(self.shape, run.body, run.poses.shape)
-        performance = read_performance(self.motion, run.body, run.poses, shape=shape, fps=self.fps,
-                                       place=self.place,
-                                       up=self.up)
+        performance = read_performance(
+            self.motion, run.body, run.poses, shape=shape, fps=self.fps, place=self.place, up=self.up)
         frames = self._frames(len(performance))
         rate = performance.fps / frames.step
         if not 0.1 <= rate <= 240:
-            raise InputError("--frames" if self.frames else "--fps", f"{rate:g} frames a second",
-                             "a video of 0.1 to 240")
+            where = "--frames" if self.frames else "--fps"
+            raise InputError(where, f"{rate:g} frames a second", "a video of 0.1 to 240")
         cameras = self._cameras(performance)
-        animation = Animation(run, performance, cameras, samples=self.samples, spp=self.spp,
-                              background=self.background)
+        animation = Animation(
+            run, performance, cameras, samples=self.samples, spp=self.spp, background=self.background)
         folder = FrameFolder(self.out.with_suffix(".frames"), self._request(run))
         self._render(animation, folder, frames, rate)
         print(f"{self.out}: {len(frames)} frames, {len(frames) / rate:.1f} s")
         return 0
-
-    def _check(self) -> None:
-        if self.size is not None and min(self.size) < 1:
-            raise InputError("--size", f"{self.size[0]} {self.size[1]}", "two whole numbers above 0")
-        for name in ("samples", "spp"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name}", str(getattr(self, name)), "a whole number above 0")
-        if self.fps is not None and not 0 < self.fps < float("inf"):
-            raise InputError("--fps", f"{self.fps:g}", "frames a second, above 0")
-        if self.background is not None and not all(0 <= v <= 1 for v in self.background):
-            raise InputError("--background", " ".join(f"{v:g}" for v in self.background),
-                             "three numbers in [0, 1]")
-        if self.elevation is not None and not -90 < self.elevation < 90:
-            raise InputError("--elevation", str(self.elevation), "degrees between -90 and 90")
-        for name in ("turns", "azimuth"):
-            value = getattr(self, name)
-            if value is not None and not abs(value) < float("inf"):
-                raise InputError(f"--{name}", f"{value:g}", "a finite number")
-        for name in ("turns", "azimuth", "elevation"):
-            if getattr(self, name) is not None and self.camera != "orbit":
-                raise InputError(f"--{name}", f"--camera {self.camera} as well", "--camera orbit")
 
     def _frames(self, count: int) -> range:
         """The requested frames of the motion, in order."""
@@ -133,12 +115,12 @@ class Animate:
         except ValueError:
             parts = []
         if not 2 <= len(parts) <= 3 or (len(parts) == 3 and parts[2] is not None and parts[2] < 1):
-            raise InputError("--frames", repr(self.frames),
-                             "FIRST:END or FIRST:END:STEP, whole numbers, a step above 0")
+            expected = "FIRST:END or FIRST:END:STEP, whole numbers, a step above 0"
+            raise InputError("--frames", repr(self.frames), expected)
         chosen = range(count)[slice(*parts)]
-        if len(chosen) == 0:
-            raise InputError("--frames", f"no frame of the motion in {self.frames!r}",
-                             f"frames from 0 to {count - 1}")
+        if not chosen:
+            found = f"no frame of the motion in {self.frames!r}"
+            raise InputError("--frames", found, f"frames from 0 to {count - 1}")
         return chosen
 
     def _cameras(self, performance: Performance) -> list[Camera]:

@@ -56,7 +56,7 @@ class CaptureImport:
         from ndf_mi.capture.readers.importing import import_capture
         from ndf_mi.capture.readers.source import Selection
         from ndf_mi.capture.readers.zju import read_zju
-        from ndf_mi.commands.image_bar import image_bar
+        from ndf_mi.commands.progress import image_bar
 
         selection = Selection(self.frames, self.test_frames, self.train_cameras, self.test_cameras)
         if self.layout == "zju":

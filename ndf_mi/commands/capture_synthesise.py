@@ -70,7 +70,7 @@ class CaptureSynthesise:
         settings = replace(settings, **given)
         variants.use()
         from ndf_mi.capture.synthesise.synthesise import synthesise
-        from ndf_mi.commands.image_bar import image_bar
+        from ndf_mi.commands.progress import image_bar
 
         look = plan.Look(self.motion, self.clothes, self.folds, self.surface)
         with image_bar() as show:

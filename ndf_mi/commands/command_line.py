@@ -1,13 +1,41 @@
-"""The command line that repeats a call, made of the command's own fields."""
+"""What commands share: the ranges of their options, and the command line that repeats a call."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import shlex
 import typing
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import tyro
+
+from ndf_mi.errors import InputError
+
+_WHOLE = (lambda value: value >= 1), "a whole number above 0"
+_FINITE = math.isfinite, "a finite number"
+RANGES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    "size": (lambda value: min(value) >= 1, "two whole numbers above 0"),
+    "samples": _WHOLE,
+    "spp": _WHOLE,
+    "cutoff": (lambda value: 0 <= value < 1, "a transmittance in [0, 1)"),
+    "fps": (lambda value: 0 < value < math.inf, "frames a second, above 0"),
+    "background": (lambda value: all(0 <= v <= 1 for v in value), "three numbers in [0, 1]"),
+    "elevation": (lambda value: -90 < value < 90, "degrees between -90 and 90"),
+    "turns": _FINITE,
+    "azimuth": _FINITE,
+}
+"""Option → whether a value is valid, and what is expected."""
+
+
+def check_ranges(command: Any) -> None:
+    """Raises InputError unless all options of `RANGES` that a command has and that are given are valid."""
+    for name, (valid, expected) in RANGES.items():
+        value = getattr(command, name, None)
+        if value is not None and not valid(value):
+            found = " ".join(f"{v:g}" for v in (value if isinstance(value, tuple) else (value,)))
+            raise InputError(f"--{name}", found, expected)
 
 
 def command_line(name: str, command: Any) -> str:

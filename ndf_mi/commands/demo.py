@@ -14,8 +14,8 @@ import tyro
 class Demo:
     """Synthesise a small capture, train a field on it, compare it with textured meshes and write report.html.
 
-    Finished parts are kept: repeat the command after an interrupt and it continues. The textured mesh is trained
-    until its loss stops falling, the mesh with vertex offsets for as long as the field.
+    Finished parts are kept: repeat the command after an interrupt and it continues. The textured mesh is
+    trained until its loss stops falling, the mesh with vertex offsets for as long as the field.
     """
 
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -73,19 +74,16 @@ class Optimise:
         options = trainer.options
         if options.integrator != QUADRATURE and not trainer.run.scattered:
             print(f"warning: {options.integrator} was not used, because it starts after {options.warm_up} "
-                  "steps by "
-                  "quadrature (warm_up); the colours still contain the capture's light. Train again with "
-                  "more steps "
-                  "or seconds, or with a smaller warm_up")
+                  "steps by quadrature (warm_up); the colours still contain the capture's light. Train again "
+                  "with more steps or seconds, or with a smaller warm_up")
         return 0
 
     def _resumed(self, capture: Capture) -> Trainer:
         from ndf_mi.learn.loop import resume
 
-        given = [name for name in ("steps", "seconds", "seed") if getattr(self, name) is not None]
-        defaults = {"ablation": "full", "integrator": QUADRATURE, "model": None, "preset": "fast",
-                    "option": ()}
-        given += [name for name, default in defaults.items() if getattr(self, name) != default]
+        kept = ("capture", "out", "resume")
+        options = [field for field in dataclasses.fields(self) if field.name not in kept]
+        given = [field.name for field in options if getattr(self, field.name) != field.default]
         if given:
             raise InputError("--resume", f"--{given[0]} as well", "no other option",
                              "A resumed run keeps the options that it was started with.")
@@ -107,8 +105,7 @@ class Optimise:
         changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
         if changed:
             print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours contain "
-                  "no light, "
-                  "densities are above 0 and paths stay short")
+                  "no light, densities are above 0 and paths stay short")
         return start(self.out, capture, preset, training, plan)
 
     def _plan(self, capture: Capture) -> tuple[Preset | None, dict[str, Any] | None]:
@@ -118,7 +115,7 @@ class Optimise:
         if self.preset != "fast":
             raise InputError("--model", f"--preset {self.preset} as well", "one of the two",
                              "Plans start from the preset fast.")
-        from ndf_mi.commands.plan_console import planned, printed
+        from ndf_mi.commands.plan import planned, printed
         from ndf_mi.planning.plan import PlanSettings, read_preset
 
         if self.model != "auto":

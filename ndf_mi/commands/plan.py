@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import sys
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from ndf_mi.capture.capture import Capture
+    from ndf_mi.planning.plan import Plan, PlanSettings
+
+_WIDTH = 110
 
 
 @dataclass
@@ -35,13 +43,39 @@ class PlanCapture:
     def run(self) -> int:
         """Prints the findings, and writes the plan if requested."""
         from ndf_mi.capture.capture import Capture
-        from ndf_mi.commands.plan_console import planned, printed
         from ndf_mi.planning.plan import PlanSettings
 
-        plan = planned(Capture.read(self.capture),
-                       PlanSettings(self.accuracy, self.worth, self.frames, self.seed))
+        settings = PlanSettings(self.accuracy, self.worth, self.frames, self.seed)
+        plan = planned(Capture.read(self.capture), settings)
         print(printed(plan))
         if self.out is not None:
             plan.write(self.out)
             print(f"\nwrote {self.out}; train with: ndf-mi optimise {self.capture} --model {self.out} -o RUN")
         return 0
+
+
+def planned(capture: Capture, settings: PlanSettings) -> Plan:
+    """The plan for a capture; a terminal shows the progress."""
+    from rich.console import Console
+
+    from ndf_mi.planning.planner import STEPS, plan
+
+    with Console(file=sys.stderr).status("reading images") as status:
+
+        def show(step: str) -> None:
+            status.update(f"analysing {step} ({STEPS.index(step) + 1} of {len(STEPS)})")
+
+        return plan(capture, settings, show)
+
+
+def printed(plan: Plan) -> str:
+    """The plan as text, finding by finding."""
+    cameras, frames = plan.looked_at["cameras"], plan.looked_at["frames"]
+    lines = [f"{plan.capture['name']}: {len(frames)} frames of {len(cameras)} training cameras"]
+    for finding in plan.findings:
+        lines += ["", f"{finding.key}: {finding.question}"]
+        rows = (("found", finding.evidence), ("model", finding.follows),
+                ("left out", finding.left_out or "nothing"))
+        for label, text in rows:
+            lines += textwrap.wrap(text, _WIDTH, initial_indent=f"  {label:<10}", subsequent_indent=" " * 12)
+    return "\n".join(lines)

@@ -1,12 +1,23 @@
-"""How commands show the progress of an experiment on a terminal, or as lines in a log."""
+"""How commands show progress: as a bar, or of experiments as bars on a terminal or lines in a log."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TextIO
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from ndf_mi.experiments import core
 from ndf_mi.experiments.core import Unit
@@ -73,3 +84,21 @@ class ConsoleProgress(core.Progress):
         if name not in self._tasks:
             self._tasks[name] = self._progress.add_task(name, total=None, details="")
         return self._tasks[name]
+
+
+@contextmanager
+def image_bar() -> Iterator[Callable[[int, int], None]]:
+    """Yields a function of the numbers of finished and of all images. The bar starts with its first call, so
+    that errors before it come without a bar."""
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    bar = Progress(TextColumn("{task.description}"), *columns)
+    task = bar.add_task("images", total=None)
+
+    def show(done: int, total: int) -> None:
+        bar.start()
+        bar.update(task, completed=done, total=total)
+
+    try:
+        yield show
+    finally:
+        bar.stop()

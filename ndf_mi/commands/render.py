@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from ndf_mi.commands.command_line import check_ranges
 from ndf_mi.errors import InputError
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class Render:
         from ndf_mi.render.output import check_suffix
 
         check_suffix(self.out)
-        self._check_ranges()
+        check_ranges(self)
         if self.source.is_dir():
             self._render_run()
         elif self.source.is_file():
@@ -98,20 +99,6 @@ class Render:
             raise InputError(self.source, "no such file or folder", "a scene's XML file or a run's folder")
         print(self.out)
         return 0
-
-    def _check_ranges(self) -> None:
-        if self.size is not None and min(self.size) < 1:
-            raise InputError("--size", f"{self.size[0]} {self.size[1]}", "two whole numbers above 0")
-        for name in ("samples", "spp"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise InputError(f"--{name}", str(value), "a whole number above 0")
-        if self.cutoff is not None and not 0 <= self.cutoff < 1:
-            raise InputError("--cutoff", f"{self.cutoff:g}", "a transmittance in [0, 1)")
-        if not -90 < self.elevation < 90:
-            raise InputError("--elevation", f"{self.elevation:g}", "degrees between -90 and 90")
-        if not abs(self.azimuth) < float("inf"):
-            raise InputError("--azimuth", f"{self.azimuth:g}", "a finite number of degrees")
 
     def _render_run(self) -> None:
         from ndf_mi.render.colours import misread
@@ -139,15 +126,14 @@ class Render:
 
         if self.budget is not None and self.error is not None:
             raise InputError("--budget", "it together with --error", "one of them")
-        for limit in ("budget", "error"):
-            given = [name for name in SETTINGS if getattr(self, name) not in (None, False)]
-            if getattr(self, limit) is not None and given:
-                reason = "chooses it" if given[0] in ("samples", "cutoff") else "works only without it"
-                raise InputError(
-                    f"--{limit}", f"it together with --{given[0]}", f"one of them: --{limit} {reason}")
-        return (
-            None if self.budget is None else parse_seconds(self.budget),
-            None if self.error is None else parse_decibel(self.error))
+        given = [name for name in SETTINGS if getattr(self, name) not in (None, False)]
+        limit = "budget" if self.budget is not None else "error"
+        if getattr(self, limit) is not None and given:
+            reason = "chooses it" if given[0] in ("samples", "cutoff") else "works only without it"
+            expected = f"one of them: --{limit} {reason}"
+            raise InputError(f"--{limit}", f"it together with --{given[0]}", expected)
+        seconds = None if self.budget is None else parse_seconds(self.budget)
+        return seconds, None if self.error is None else parse_decibel(self.error)
 
     def _camera(self, run: Run, frame: int) -> Camera:
         from ndf_mi.capture.camera import framing
@@ -160,13 +146,14 @@ class Render:
             camera = cameras[self.camera]
             return camera if self.size is None else camera.scaled(*self.size)
         if self.camera is not None:
-            raise InputError(
-                "--camera", self.camera, "--capture as well, or --azimuth and --elevation instead")
+            expected = "--capture as well, or --azimuth and --elevation instead"
+            raise InputError("--camera", self.camera, expected)
         vertices = run.poses.vertices[run.poses.index(frame)]
         return framing(vertices, *(self.size or (512, 512)), self.azimuth, self.elevation)
 
     def _image(
-        self, run: Run, frame: int, camera: Camera, budget: float | None, error: float | None) -> Image:
+        self, run: Run, frame: int, camera: Camera, budget: float | None, error: float | None
+    ) -> Image:
         from ndf_mi.render.settings import Setting
         from ndf_mi.render.tuner import choose, render_choice
 
@@ -189,8 +176,8 @@ class Render:
         sensor = 0
         if self.camera is not None:
             if not self.camera.isdecimal():
-                raise InputError(
-                    "--camera", repr(self.camera), "the number of one of the scene's sensors, from 0")
+                expected = "the number of one of the scene's sensors, from 0"
+                raise InputError("--camera", repr(self.camera), expected)
             sensor = int(self.camera)
         scene = load_scene(self.source, self._scene_parameters())
         # Only warnings: a performer may be left out of an image on purpose.

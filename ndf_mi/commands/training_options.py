@@ -26,8 +26,8 @@ NAMES = tuple(sorted({*_ARCHITECTURE, *_TRAINING}))
 
 OPTION_HELP = (
     "Any other entry of the preset or of the training options as NAME=VALUE, for example band=0.12, "
-    "rays=2048 or "
-    f"density_layers=[128,128]. Can be given several times. NAME is one of {', '.join(NAMES)}."
+    "rays=2048 or density_layers=[128,128]. Can be given several times. NAME is one of "
+    f"{', '.join(NAMES)}."
 )
 PRESET_HELP = f"one of {', '.join(PRESETS)}"
 ABLATION_NAMES = tuple(ABLATIONS)
@@ -64,29 +64,28 @@ def configured(
     if seconds is not None and not seconds > 0:
         raise InputError("--seconds", f"{seconds:g}", "a time above 0")
     training = TrainingOptions.paper() if preset_name == "paper" else TrainingOptions()
-    base, training = ablation(ablation_name).apply(preset(preset_name) if planned is None else planned,
-                                                   training)
+    base, training = ablation(ablation_name).apply(planned or preset(preset_name), training)
     if integrator != QUADRATURE:
         base = relightable(base)[0]
-        training = dataclasses.replace(training, integrator=integrator,
-                                       steps=training.warm_up + SCATTERING_STEPS)
-    given = {"steps": UNLIMITED if steps is None and seconds is not None else steps, "seconds": seconds,
-             "seed": seed}
+        steps_in_all = training.warm_up + SCATTERING_STEPS
+        training = dataclasses.replace(training, integrator=integrator, steps=steps_in_all)
+    if steps is None and seconds is not None:
+        steps = UNLIMITED
+    given = {"steps": steps, "seconds": seconds, "seed": seed}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     for text in entries:
         name, equals, value = text.partition("=")
         name = rename_entry(name.strip().replace("-", "_"), {**PRESET_FIELDS, **TRAINING_FIELDS})
         if not equals or name not in NAMES:
             raise InputError("--option", repr(text), "NAME=VALUE, NAME one of " + ", ".join(NAMES))
-        options = Preset if name in _ARCHITECTURE else TrainingOptions
+        kind = Preset if name in _ARCHITECTURE else TrainingOptions
         parsed = _parsed(value)
         if isinstance(parsed, str):
             parsed = rename_entry(parsed, PRESET_VALUES.get(name, {}))
-        changes[name] = option_value(options, name, parsed, "--option")
-    return (dataclasses.replace(base,
-                                **{name: value for name, value in changes.items() if name in _ARCHITECTURE}),
-            dataclasses.replace(training,
-                                **{name: value for name, value in changes.items() if name in _TRAINING}))
+        changes[name] = option_value(kind, name, parsed, "--option")
+    architecture = {name: value for name, value in changes.items() if name in _ARCHITECTURE}
+    options = {name: value for name, value in changes.items() if name in _TRAINING}
+    return dataclasses.replace(base, **architecture), dataclasses.replace(training, **options)
 
 
 def _parsed(value: str) -> Any:

@@ -161,11 +161,9 @@ class Comparison:
         trained = [spec for spec in self._specs if self._folder(spec) is None and spec.budget != CONVERGED]
         seconds = self.settings.mesh_seconds or (self._run.config.get("trained") or {}).get("seconds") or 0.0
         if trained and not seconds:
-            raise InputError(
-                f"{self._run.path / 'config.json'}: trained", "no training time",
-                "the seconds that `ndf-mi optimise` writes when it ends",
-                "Give the training time of the other methods: --mesh-seconds 600",
-            )
+            where, expected = f"{self._run.path / 'config.json'}: trained", "the seconds of `ndf-mi optimise`"
+            repair = "Give the training time of the other methods: --mesh-seconds 600"
+            raise InputError(where, "no training time", expected, repair)
         return float(seconds)
 
     def _about(self, command: str) -> dict[str, Any]:

@@ -49,7 +49,7 @@ def choose_views(
             continue
         split = capture.splits[name]
         if name != "train":
-            split = replace(split, frames=protocol.frames(split))
+            split = replace(split, frames=split.every(protocol.every))
         pairs = [View(name, camera, frame) for camera, frame in split]
         count = len(pairs) if limit is None else limit
         if name == "train":

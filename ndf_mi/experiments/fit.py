@@ -22,8 +22,8 @@ def fitted(
     method: M, name: str, label: str, options: Mapping[str, Any], capture: Capture, budget: Budget,
     folder: Path, store: Store, progress: Progress,
 ) -> M:
-    """The method, trained and saved, or loaded where it has been trained with the same inputs. The training of
-    a `Resumable` continues where it stopped.
+    """The method, trained and saved, or loaded where it has been trained with the same inputs. The training
+    of a `Resumable` continues where it stopped.
 
     Args:
         method: neither trained nor loaded yet.

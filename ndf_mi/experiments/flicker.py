@@ -1,18 +1,8 @@
 """Temporal consistency: does the picture change from frame to frame as the truth does?
 
 For successive frames t, t+1 of one camera, images I, truth G (sRGB in [0, 1]) and the pixels B of each
-frame's box,
-
-    tMSE_t = mean over B_t ∪ B_{t+1} and channels of ((I_{t+1} − I_t) − (G_{t+1} − G_t))²
-    tPSNR_t = −10·log10 tMSE_t                                          in dB, higher is better
-
-- An error that stays the same from frame to frame costs nothing. An error that flickers does, and so does a
-  picture that stands still while the performer moves; `Flicker.frozen` is the value of such a picture.
-- It is comparable with box PSNR: errors that are independent from frame to frame double tMSE, so tPSNR is 3
-  dB below PSNR; errors that stay make it higher.
-- It is measured on the 8-bit pictures, which is what people look at. Rounding limits it to about 56 dB.
-- The further apart the frames are (`FrameSequence.spacing`), the more it measures errors of motion instead of
-  flicker.
+frame's box, tPSNR_t in dB is −10·log10 of the mean of ((I_{t+1} − I_t) − (G_{t+1} − G_t))² over B_t ∪ B_{t+1}
+and channels. Rounding to 8 bits limits it to about 56 dB. docs/protocols.md has its properties.
 """
 
 from __future__ import annotations
@@ -32,16 +22,19 @@ def choose_sequences(capture: Capture, count: int) -> list[FrameSequence]:
     """Up to `count` successive frames of the split `sequence`, in its first camera; without such a split, of
     each split.
 
-    Of all series of so many successive frames, the one is taken whose frames are closest together, and the
-    first of these. Splits with fewer than two frames have no sequence; a `count` of 0 selects none.
+    Of all series of so many successive frames, the first of those whose frames are closest together is taken.
+    Splits with fewer than two frames have no sequence; a `count` of 0 selects none.
     """
     chosen = []
     own = capture.splits.get("sequence", Split())
     splits = {"sequence": own} if len(own.frames) > 1 else capture.splits
     for name, split in splits.items():
-        frames = _closest_run(split, count)
-        if len(frames) > 1 and split.cameras:
-            chosen.append(FrameSequence(name, split.cameras[0], frames))
+        length = min(count, len(split.frames))
+        if length > 1 and split.cameras:
+            frames = sorted(split.frames)
+            runs = (tuple(frames[i : i + length]) for i in range(len(frames) - length + 1))
+            closest = min(runs, key=lambda run: run[-1] - run[0])
+            chosen.append(FrameSequence(name, split.cameras[0], closest))
     return chosen
 
 
@@ -78,12 +71,3 @@ def _change(
     """Temporal PSNR of (truth, picture, box mask) of two frames; None if both boxes are out of sight."""
     mask = before[2] | after[2]
     return metrics.temporal_psnr((before[0], after[0]), (before[1], after[1]), mask) if mask.any() else None
-
-
-def _closest_run(split: Split, count: int) -> tuple[int, ...]:
-    frames = sorted(split.frames)
-    length = min(count, len(frames))
-    if length < 2:
-        return ()
-    first = min(range(len(frames) - length + 1), key=lambda start: frames[start + length - 1] - frames[start])
-    return tuple(frames[first : first + length])

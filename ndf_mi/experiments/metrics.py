@@ -66,8 +66,7 @@ def temporal_psnr(
     """PSNR in dB of the change from one frame to the next, over the pixels of `mask`; infinite for equal
     changes.
 
-    −10·log10 of the mean of ((I₂ − I₁) − (G₂ − G₁))², for images I and truth G of two successive frames, (h,
-    w, 3) each.
+    −10·log10 of the mean of ((I₂ − I₁) − (G₂ − G₁))², for (h, w, 3) images I and truth G of two frames.
 
     Raises:
         ValueError: the shapes differ, or the mask is empty.
@@ -92,11 +91,8 @@ def ssim(truth: np.ndarray, image: np.ndarray, data_range: float = 1.0) -> float
         size = f"{truth.shape[0]}×{truth.shape[1]}"
         raise ValueError(f"SSIM needs at least {SSIM_WINDOW}×{SSIM_WINDOW} pixels, not {size}")
     pair = truth.astype(np.float64), image.astype(np.float64)
-    return float(
-        structural_similarity(
-            *pair, win_size=SSIM_WINDOW, data_range=data_range, channel_axis=2, use_sample_covariance=True
-        )
-    )
+    how = {"win_size": SSIM_WINDOW, "channel_axis": 2, "use_sample_covariance": True}
+    return float(structural_similarity(*pair, data_range=data_range, **how))
 
 
 def box_ssim(truth: np.ndarray, image: np.ndarray, mask: np.ndarray, data_range: float = 1.0) -> float:
@@ -120,10 +116,8 @@ def flip_map(truth: np.ndarray, image: np.ndarray) -> np.ndarray:
     flip_evaluator = require("flip_evaluator", extra="report")
     _same_shape(truth, image)
     pair = [np.ascontiguousarray(np.clip(side, 0, 1), dtype=np.float32) for side in (truth, image)]
-    error, _, _ = flip_evaluator.evaluate(
-        *pair, "LDR", inputsRGB=True, applyMagma=False, computeMeanError=False
-    )
-    return np.asarray(error, dtype=np.float32)[..., 0]
+    how = {"inputsRGB": True, "applyMagma": False, "computeMeanError": False}
+    return np.asarray(flip_evaluator.evaluate(*pair, "LDR", **how)[0], dtype=np.float32)[..., 0]
 
 
 def measure(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> dict[str, float | None]:
@@ -133,18 +127,18 @@ def measure(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> dict[str,
     bounding rectangle. A metric is None where it is undefined: the box is out of sight, or smaller than
     SSIM's window.
     """
+    found: dict[str, float | None] = dict.fromkeys(IMAGE_METRICS)
+    found["psnr"] = psnr(truth, image)
+    if min(truth.shape[:2]) >= SSIM_WINDOW:
+        found["ssim"] = ssim(truth, image)
     rectangle = bounding_rectangle(mask)
-    seen = rectangle is not None
-    crop = truth[rectangle] if rectangle is not None else truth[:0]
-    fits = min(crop.shape[:2]) >= SSIM_WINDOW
-    whole_fits = min(truth.shape[:2]) >= SSIM_WINDOW
-    return {
-        "box_psnr": psnr(truth, image, mask) if seen else None,
-        "box_ssim": box_ssim(truth, image, mask) if fits else None,
-        "box_ssim_range2": box_ssim(truth, image, mask, data_range=2.0) if fits else None,
-        "box_flip": float(flip_map(truth, image)[rectangle].mean()) if rectangle is not None else None,
-        "psnr": psnr(truth, image), "ssim": ssim(truth, image) if whole_fits else None,
-    }
+    if rectangle is not None:
+        found["box_psnr"] = psnr(truth, image, mask)
+        found["box_flip"] = float(flip_map(truth, image)[rectangle].mean())
+        if min(mask[rectangle].shape) >= SSIM_WINDOW:
+            found["box_ssim"] = box_ssim(truth, image, mask)
+            found["box_ssim_range2"] = box_ssim(truth, image, mask, data_range=2.0)
+    return found
 
 
 def average(values: list[float | None]) -> float | None:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.document import Imported
 from ndf_mi.capture.readers import dynacap, zju
+from ndf_mi.experiments.records import HELD_OUT, SPLITS
 
 _WHAT = {zju.LAYOUT: "ZJU-MoCap", dynacap.LAYOUT: "DynaCap"}
 
@@ -27,11 +28,9 @@ def differences(layout: str, every: int, capture: Capture) -> list[str]:
     """
     found = capture.imported
     if found is None or found.layout != layout:
-        origin = (
-            "does not record what it was imported from"
-            if found is None
-            else f"was imported from another layout, {found.layout}"
-        )
+        origin = "does not record what it was imported from"
+        if found is not None:
+            origin = f"was imported from another layout, {found.layout}"
         return [
             f"This capture {origin}, so its cameras and frames could not be compared with those of "
             f"{_WHAT[layout]}'s evaluation."
@@ -52,8 +51,8 @@ def _zju(capture: Capture, found: Imported, every: int) -> list[str]:
     held_out = [name for name in found.cameras if name not in wanted]
     notes = _frames(capture, f"subject {found.subject}", len(subject.train), len(subject.novel_pose), every)
     notes += _cameras("The training cameras", capture.splits["train"].cameras, wanted)
-    for name, label in (("novel_view", "novel views"), ("novel_pose", "novel poses")):
-        notes += _cameras(f"The test cameras of {label}", capture.splits[name].cameras, held_out)
+    for name in HELD_OUT:
+        notes += _cameras(f"The test cameras of {SPLITS[name]}", capture.splits[name].cameras, held_out)
     if abs(found.scale - zju.SCALE) > 1e-9:
         notes.append(
             f"Images are scaled by {found.scale:g} from {zju.SIZE[0]}² pixels; the protocol scales by "
@@ -64,10 +63,10 @@ def _zju(capture: Capture, found: Imported, every: int) -> list[str]:
 
 def _dynacap(capture: Capture, every: int) -> list[str]:
     notes = _frames(capture, "a sequence", dynacap.FRAMES, dynacap.FRAMES, every)
-    for name, label in (("novel_view", "novel views"), ("novel_pose", "novel poses")):
+    for name in HELD_OUT:
         cameras = len(capture.splits[name].cameras)
         if cameras != dynacap.TEST_CAMERAS:
-            notes.append(f"{cameras} cameras test {label}; the protocol has {dynacap.TEST_CAMERAS}.")
+            notes.append(f"{cameras} cameras test {SPLITS[name]}; the protocol has {dynacap.TEST_CAMERAS}.")
     return notes
 
 
@@ -79,15 +78,12 @@ def _frames(capture: Capture, whose: str, train: int, novel_pose: int, every: in
     have = len(capture.splits["train"].frames)
     if have != train:
         notes.append(f"Training uses {have} of the {train} training frames of {whose}.")
-    for name, label, whole in (
-        ("novel_view", "novel views", train), ("novel_pose", "novel poses", novel_pose),
-    ):
-        frames = capture.splits[name].every(every)
+    for name, whole in zip(HELD_OUT, (train, novel_pose), strict=True):
+        frames = len(capture.splits[name].every(every))
         wanted = len(range(0, whole, every))
-        if len(frames) != wanted:
-            notes.append(
-                f"{len(frames)} frames of {label} are measured; the protocol measures {wanted} of {whose}."
-            )
+        if frames != wanted:
+            measured = f"{frames} frames of {SPLITS[name]} are measured"
+            notes.append(f"{measured}; the protocol measures {wanted} of {whose}.")
     return notes
 
 

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from ndf_mi.capture.capture import Capture
-from ndf_mi.capture.document import Split
 from ndf_mi.deprecated import rename_entry
 from ndf_mi.errors import InputError
 from ndf_mi.experiments.protocol_differences import differences
-
-HELD_OUT = ("novel_view", "novel_pose")
+from ndf_mi.experiments.records import HELD_OUT
 
 
 @dataclass(frozen=True)
@@ -52,10 +50,6 @@ class Protocol:
     black: bool = False
     layout: str | None = None
 
-    def frames(self, split: Split) -> tuple[int, ...]:
-        """The frames of a held-out split that are measured. A split without others is measured whole."""
-        return split.every(self.every)
-
     def check(self, capture: Capture) -> None:
         """Checks that a capture holds what the protocol needs; `default` takes any.
 
@@ -63,40 +57,35 @@ class Protocol:
             InputError: the number of cameras or frames is wrong, a test camera is also a training camera, a
                 novel view shows a frame that was not trained on, or a novel pose one that was.
         """
+
+        def expect(holds: bool, key: str, found: str, expected: str) -> None:
+            if not holds:
+                where = f"{capture.path / 'capture.json'}: splits.{key}"
+                expected = f"{expected}, for protocol {self.name}"
+                raise InputError(where, found, expected, "`--protocol default` measures any capture.")
+
         if self.train_cameras is None:
             return
-        train = capture.splits["train"]
-        if len(train.cameras) != self.train_cameras:
-            raise self._lacks(
-                capture, "train.cameras", f"{len(train.cameras)} cameras", f"{self.train_cameras} cameras"
-            )
-        if len(train.frames) < self.train_frames:
-            raise self._lacks(
-                capture, "train.frames", f"{len(train.frames)} frames", f"at least {self.train_frames}"
-            )
+        train, trained = capture.splits["train"], set(capture.splits["train"].frames)
+        cameras, frames = len(train.cameras), len(train.frames)
+        expected = f"{self.train_cameras} cameras"
+        expect(cameras == self.train_cameras, "train.cameras", f"{cameras} cameras", expected)
+        expected = f"at least {self.train_frames}"
+        expect(frames >= self.train_frames, "train.frames", f"{frames} frames", expected)
         for name, least in self.measured_frames:
             split = capture.splits[name]
-            if len(split.cameras) < self.test_cameras:
-                expected = f"at least {self.test_cameras}, none of them a training camera"
-                raise self._lacks(capture, f"{name}.cameras", f"{len(split.cameras)} cameras", expected)
-            both = sorted(set(split.cameras) & set(train.cameras))
-            if both:
-                raise self._lacks(
-                    capture, f"{name}.cameras", f"{both[0]}, a training camera", "cameras not trained on"
-                )
-            left = len(self.frames(split))
-            if left < least:
-                found = f"{len(split.frames)} frames; every {self.every}th makes {left}"
-                raise self._lacks(capture, f"{name}.frames", found, f"enough for at least {least}")
-            self._check_frames(capture, name, train)
-
-    def _check_frames(self, capture: Capture, name: str, train: Split) -> None:
-        trained = set(train.frames)
-        novel = name == "novel_pose"
-        wrong = [frame for frame in capture.splits[name].frames if (frame in trained) == novel]
-        if wrong:
-            found = f"frame {wrong[0]}, {'a' if novel else 'no'} training frame"
-            raise self._lacks(capture, f"{name}.frames", found, f"frames {'not ' if novel else ''}trained on")
+            cameras, measured = len(split.cameras), len(split.every(self.every))
+            expected = f"at least {self.test_cameras}, none of them a training camera"
+            expect(cameras >= self.test_cameras, f"{name}.cameras", f"{cameras} cameras", expected)
+            for camera in sorted(set(split.cameras) & set(train.cameras)):
+                expect(False, f"{name}.cameras", f"{camera}, a training camera", "cameras not trained on")
+            found = f"{len(split.frames)} frames; every {self.every}th makes {measured}"
+            expect(measured >= least, f"{name}.frames", found, f"enough for at least {least}")
+            novel = name == "novel_pose"
+            expected = f"frames {'not ' if novel else ''}trained on"
+            for frame in split.frames:
+                found = f"frame {frame}, {'a' if novel else 'no'} training frame"
+                expect((frame in trained) != novel, f"{name}.frames", found, expected)
 
     def notes(
         self, training: Mapping[str, Any] | None, capture: Capture, max_images: int | None = None
@@ -119,19 +108,15 @@ class Protocol:
             )
         if self.black and capture.background.any():
             colour = ", ".join(f"{value:.2f}" for value in capture.background)
-            notes.append(
-                f"The protocol's images are over black; this capture's background is ({colour}) in sRGB."
-            )
+            background = f"this capture's background is ({colour}) in sRGB"
+            notes.append(f"The protocol's images are over black; {background}.")
         if self.layout is not None:
             notes += differences(self.layout, self.every, capture)
-        images = [
-            len(capture.splits[name].cameras) * len(self.frames(capture.splits[name])) for name in HELD_OUT
-        ]
+        splits = (capture.splits[name] for name in HELD_OUT)
+        images = [len(split.cameras) * len(split.every(self.every)) for split in splits]
         if self.max_images is None and max_images is not None and max_images < max(images):
-            whole = " and ".join(map(str, images))
-            notes.append(
-                f"At most {max_images} images of each split are measured; the protocol measures all, {whole}."
-            )
+            count = f"At most {max_images} images of each split are measured"
+            notes.append(f"{count}; the protocol measures all, {' and '.join(map(str, images))}.")
         return notes
 
     def metadata(
@@ -142,13 +127,6 @@ class Protocol:
             "name": self.name, "description": self.description, "headline": list(self.headline),
             "notes": self.notes(training, capture, max_images),
         }
-
-    def _lacks(self, capture: Capture, key: str, found: str, expected: str) -> InputError:
-        where = f"{capture.path / 'capture.json'}: splits.{key}"
-        return InputError(
-            where, found, f"{expected}, for protocol {self.name}",
-            "`--protocol default` measures any capture.",
-        )
 
 
 DEFAULT = Protocol(

@@ -16,6 +16,7 @@ SPLITS = {
     "train": "training views",
 }
 """The splits that are measured, in this order, and their names for readers."""
+HELD_OUT = ("novel_view", "novel_pose")
 
 
 class View(Struct, frozen=True):
@@ -110,17 +111,13 @@ class MethodResult(Struct):
 
     def mean(self, split: str, metric: str) -> float | None:
         """The mean over the sampled images of a split; for temporal PSNR, over the pairs of frames of its
-        sequences.
-
-        None where the metric is undefined for all of them.
+        sequences. None where the metric is undefined for all of them.
         """
         if metric == metrics.TEMPORAL:
-            return metrics.average(
-                [v for known in self.flicker if known.sequence.split == split for v in known.tpsnr]
-            )
-        return metrics.average(
-            [i.figures[metric] for i in self.images if i.sampled and i.view.split == split]
-        )
+            known = (flicker for flicker in self.flicker if flicker.sequence.split == split)
+            return metrics.average([value for flicker in known for value in flicker.tpsnr])
+        images = (image for image in self.images if image.sampled and image.view.split == split)
+        return metrics.average([image.figures[metric] for image in images])
 
     def seconds_an_image(self) -> float | None:
         """The median over all images, so that kernel compilation in the first few does not count."""
@@ -131,9 +128,7 @@ class MethodResult(Struct):
         return next((image for image in self.images if image.view == view), None)
 
     def summary(self, splits: list[str]) -> dict[str, Any]:
-        """JSON values for readers of the study's file: the method, its means by split and metric, and its
-        speed.
-        """
+        """JSON values for readers of the study's file, with means by split and metric."""
         means = {split: {key: self.mean(split, key) for key in metrics.LABELS} for split in splits}
         return {
             "key": self.key, "label": self.label, "cache_key": self.cache_key, "metadata": self.metadata,
@@ -142,9 +137,7 @@ class MethodResult(Struct):
 
 
 class Results(Struct):
-    """A whole comparison. `about` holds what the report says of it: run, capture, command, machine, settings,
-    protocol.
-    """
+    """A whole comparison; `about` holds what the report says of it, such as the capture and the command."""
 
     about: dict[str, Any] = {}
     methods: list[MethodResult] = []

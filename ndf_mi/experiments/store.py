@@ -79,14 +79,7 @@ class Store:
         Raises:
             InputError: the stored record is not of the unit's type.
         """
-        return (
-            None
-            if self.staleness(unit)
-            else validated(
-                _restored(self._entries[unit.key].value), unit.record,
-                f"{self.file}: records[{unit.key!r}].value", REPAIR,
-            )
-        )
+        return None if self.staleness(unit) else self._value(unit.key, unit.record)
 
     def staleness(self, unit: Unit[Any]) -> str:
         """Why a unit has to be done: `no record`, or the inputs that changed and the outputs that are
@@ -118,20 +111,17 @@ class Store:
         Raises:
             InputError: one of them is not of this type.
         """
-        return {
-            key: validated(_restored(entry.value), record, f"{self.file}: records[{key!r}].value", REPAIR)
-            for key, entry in self._entries.items()
-            if key.startswith(prefix)
-        }
+        return {key: self._value(key, record) for key in self._entries if key.startswith(prefix)}
 
     def write(self) -> None:
         """Writes the file, whole or not at all."""
-        head = {
-            "format": FORMAT, "version": VERSION, "study": self.study, "about": self.about, **self.summary(),
-        }
-        files.write_json(
-            self.file, {**_written(msgspec.to_builtins(head)), "records": msgspec.to_builtins(self._entries)}
-        )
+        head = {"format": FORMAT, "version": VERSION, "study": self.study, "about": self.about}
+        head = _written(msgspec.to_builtins({**head, **self.summary()}))
+        files.write_json(self.file, {**head, "records": msgspec.to_builtins(self._entries)})
+
+    def _value(self, key: str, record: type[R]) -> R:
+        where = f"{self.file}: records[{key!r}].value"
+        return validated(_restored(self._entries[key].value), record, where, REPAIR)
 
 
 def read_entries(file: Path, study: str) -> dict[str, Entry]:
@@ -145,10 +135,9 @@ def read_entries(file: Path, study: str) -> dict[str, Entry]:
         found = version1.converted(found, study, file)
     document = validated(found, Document, str(file), REPAIR)
     if (document.format, document.version, document.study) != (FORMAT, VERSION, study):
-        raise InputError(
-            file, f"format {document.format!r}, version {document.version}, study {document.study!r}",
-            f"format {FORMAT!r}, version {VERSION}, study {study!r}", REPAIR,
-        )
+        found = f"format {document.format!r}, version {document.version}, study {document.study!r}"
+        expected = f"format {FORMAT!r}, version {VERSION}, study {study!r}"
+        raise InputError(file, found, expected, REPAIR)
     return {
         key: validated(entry, Entry, f"{file}: records[{key!r}]", REPAIR)
         for key, entry in document.records.items()

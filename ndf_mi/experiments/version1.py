@@ -26,9 +26,8 @@ def converted(document: dict[str, Any], study: str, file: Path) -> dict[str, Any
         if document["format"] == "ndf-tradeoff":
             study, about, records = "tradeoff", document["about"], _tradeoff(document)
         else:
-            about = {
-                key: value for key, value in document.items() if key not in ("format", "version", "methods")
-            }
+            others = ("format", "version", "methods")
+            about = {key: value for key, value in document.items() if key not in others}
             records = _comparison(document)
     except (KeyError, TypeError, AttributeError, IndexError) as error:
         raise InputError(file, f"a damaged file ({error!r})", "a study of version 1", "Remove it.") from None
@@ -60,13 +59,10 @@ def _comparison(document: dict[str, Any]) -> dict[str, Any]:
             }
         for flicker in method.get("flicker", []):
             sequence = {key: flicker[key] for key in ("split", "camera", "frames")}
-            records[f"{name}/flicker/{flicker['split']}"] = {
-                "inputs": {**drawn, **sequence},
-                "value": {
-                    "kind": "flicker", "sequence": sequence, "tpsnr": flicker["tpsnr"],
-                    "frozen": flicker["frozen"],
-                },
-            }
+            value = {"kind": "flicker", "sequence": sequence}
+            value |= {key: flicker[key] for key in ("tpsnr", "frozen")}
+            inputs = {**drawn, **sequence}
+            records[f"{name}/flicker/{flicker['split']}"] = {"inputs": inputs, "value": value}
     return records
 
 
@@ -75,11 +71,10 @@ def _tradeoff(document: dict[str, Any]) -> dict[str, Any]:
     sessions = about.get("sessions", {"": about["timing"]} if "timing" in about else {})
     for row in document["points"]:
         value = {
-            "kind": "drawn", **{key: row[key] for key in ("figures", "memory")}, "metadata": row["facts"],
+            "kind": "drawn", "figures": row["figures"], "memory": row["memory"], "metadata": row["facts"],
         }
-        records[f"draw/{row['key']}"] = {
-            "inputs": {"images": row["fingerprint"], "environment": row.get("under", "")}, "value": value,
-        }
+        inputs = {"images": row["fingerprint"], "environment": row.get("under", "")}
+        records[f"draw/{row['key']}"] = {"inputs": inputs, "value": value}
     for session, conditions in sessions.items():
         rows = [row for row in document["points"] if row.get("session", "") == session]
         for repeat in range(min((len(row["seconds"]) for row in rows), default=0)):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
-from ndf_mi.experiments.records import SPLITS, MethodResult, Results
+from ndf_mi.experiments.records import HELD_OUT, SPLITS, MethodResult, Results
 from ndf_mi.learn.ablations import ABLATIONS
 from ndf_mi.reports import page, tables
 from ndf_mi.reports.page import Fact
@@ -25,7 +26,6 @@ PAPER = {
     "no-deform": (29.72, 23.35),
     "one-piece": (29.93, 23.38),
 }
-HELD_OUT = ("novel_view", "novel_pose")
 #: Differences up to this many dB count as none. The paper calls rows level that differ by up to 0.18 dB.
 LEVEL = 0.25
 #: Splits in the table, where the capture has them.
@@ -45,7 +45,8 @@ class Agreement:
     @property
     def agrees(self) -> bool:
         """Whether both put the variant behind the full model, both level with it, or both ahead of it."""
-        return _side(self.here) == _side(self.paper)
+        here, paper = (0 if abs(gap) <= LEVEL else math.copysign(1, gap) for gap in (self.here, self.paper))
+        return here == paper
 
 
 def agreement(results: Results, name: str, split: str) -> Agreement | None:
@@ -103,14 +104,7 @@ def markdown(results: Results) -> str:
 def write_ablation_report(
     path: str | os.PathLike[str], results: Results, capture: Capture, pictures: Path
 ) -> None:
-    """Writes the HTML file, and `table.md` next to it.
-
-    Args:
-        path: the HTML file.
-        results: what was measured of each variant.
-        capture: the truth.
-        pictures: a folder of pictures for each variant, by its key.
-    """
+    """Writes the HTML file, and `table.md` next to it; arguments as of `reports.compare.write_report`."""
     about = results.about
     measured = ", ".join(f"{number} of {SPLITS[split]}" for split, number in about["measured"].items())
     page.write_page(
@@ -129,12 +123,7 @@ def write_ablation_report(
     files.write_text(Path(path).with_name("table.md"), markdown(results))
 
 
-def _side(difference: float) -> int:
-    return 0 if abs(difference) <= LEVEL else (1 if difference > 0 else -1)
-
-
 def _to_full(results: Results, method: MethodResult, split: str) -> float | None:
-    """The difference of box PSNR to the full model; None for the full model."""
     full = results.method("full")
     if full is None or method.key == "full":
         return None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -49,15 +50,6 @@ class Section:
     top: float
 
 
-@dataclass(frozen=True)
-class _Changes:
-    """(h, w) changes of the truth and errors of each method, for pairs of frames, cut to the body."""
-
-    pairs: tuple[int, ...]
-    truth: tuple[np.ndarray, ...]
-    errors: tuple[tuple[np.ndarray, ...], ...]
-
-
 def flicker_section(results: Results, capture: Capture, pictures: Path) -> Section | None:
     """A chart and strips for each sequence; None if none was measured.
 
@@ -69,12 +61,12 @@ def flicker_section(results: Results, capture: Capture, pictures: Path) -> Secti
     known = sorted(results.methods[0].flicker, key=lambda flicker: list(SPLITS).index(flicker.sequence.split))
     if not known:
         return None
-    changes = [_load(results, capture, pictures, flicker.sequence) for flicker in known]
-    top = error_scale([image for of in changes for row in (of.truth, *of.errors) for image in row])
+    changes = [_changes(results, capture, pictures, flicker.sequence) for flicker in known]
+    top = error_scale([image for rows in changes for row in rows for image in row])
     sequences = []
-    for flicker, change in zip(known, changes, strict=True):
+    for flicker, rows in zip(known, changes, strict=True):
         title = SPLITS[flicker.sequence.split].capitalize()
-        strips = _strips(results, flicker, change, top)
+        strips = _strips(results, flicker, rows, top)
         sequences.append(ShownSequence(title, _describe(flicker, capture), strips))
     return Section([_chart(results, flicker) for flicker in known], sequences, top)
 
@@ -102,34 +94,36 @@ def _describe(flicker: Flicker, capture: Capture) -> str:
     return text
 
 
-def _load(results: Results, capture: Capture, pictures: Path, sequence: FrameSequence) -> _Changes:
-    views = sequence.views
-    pairs = tuple(int(i) for i in np.linspace(0, len(views) - 2, min(PAIRS, len(views) - 1)).round())
+def _pairs(sequence: FrameSequence) -> list[int]:
+    """The positions in a sequence of the first frames of the pairs that are shown."""
+    last = len(sequence.frames) - 2
+    return [int(i) for i in np.linspace(0, last, min(PAIRS, last + 1)).round()]
+
+
+def _changes(
+    results: Results, capture: Capture, pictures: Path, sequence: FrameSequence
+) -> list[list[np.ndarray]]:
+    """(h, w) changes of the truth, then errors of each method, for pairs of frames, cut to the body."""
+    views, pairs = sequence.views, _pairs(sequence)
     frames = sorted({t + step for t in pairs for step in (0, 1)})
     window = mask_window(np.any([box_mask(capture, views[t]) for t in frames], axis=0))
 
-    def changes(method: MethodResult | None) -> list[np.ndarray]:
-        images = {t: _image(capture, pictures, views[t], method)[window] for t in frames}
+    def changes(load: Callable[[View], np.ndarray]) -> list[np.ndarray]:
+        images = {t: load(views[t])[window] for t in frames}
         return [images[t + 1] - images[t] for t in pairs]
 
-    def compare(found: list[np.ndarray]) -> tuple[np.ndarray, ...]:
-        return tuple(absolute_error(a, b) for a, b in zip(truth, found, strict=True))
-
-    truth = changes(None)
+    truth = changes(lambda view: capture.image(view.camera, view.frame))
+    found = [changes(partial(read_picture, pictures / method.key)) for method in results.methods]
     still = [np.zeros_like(change) for change in truth]
-    return _Changes(pairs, compare(still), tuple(compare(changes(method)) for method in results.methods))
+    return [[absolute_error(a, b) for a, b in zip(truth, row, strict=True)] for row in (still, *found)]
 
 
-def _image(capture: Capture, pictures: Path, view: View, method: MethodResult | None) -> np.ndarray:
-    if method is None:
-        return capture.image(view.camera, view.frame)
-    return read_picture(pictures / method.key, view)
-
-
-def _strips(results: Results, reference: Flicker, changes: _Changes, top: float) -> list[PictureRow]:
+def _strips(
+    results: Results, reference: Flicker, changes: list[list[np.ndarray]], top: float
+) -> list[PictureRow]:
     """The truth's changes, and each method's errors of them: a picture for each pair of frames."""
-    frames = reference.sequence.frames
-    names = [f"{frames[t]} → {frames[t + 1]}" for t in changes.pairs]
+    frames, pairs = reference.sequence.frames, _pairs(reference.sequence)
+    names = [f"{frames[t]} → {frames[t + 1]}" for t in pairs]
 
     def strip(title: str, images: Sequence[np.ndarray], captions: Sequence[str]) -> PictureRow:
         panels = []
@@ -138,13 +132,13 @@ def _strips(results: Results, reference: Flicker, changes: _Changes, top: float)
             panels.append((picture(error_map(image, top), alt, name, caption),))
         return PictureRow(tuple(panels), title)
 
-    means = [f"mean {change.mean():.3f}" for change in changes.truth]
-    rows = [strip("Change of the truth", changes.truth, means)]
-    for method, errors in zip(results.methods, changes.errors, strict=True):
+    truth, *errors = changes
+    rows = [strip("Change of the truth", truth, [f"mean {change.mean():.3f}" for change in truth])]
+    for method, images in zip(results.methods, errors, strict=True):
         flicker = _of(method, reference.sequence)
-        values = [None if flicker is None else flicker.tpsnr[t] for t in changes.pairs]
+        values = [None if flicker is None else flicker.tpsnr[t] for t in pairs]
         captions = [f"{tables.figure(metrics.TEMPORAL, value)} dB" for value in values]
-        rows.append(strip(f"Error of {tables.lower(method.label)}", errors, captions))
+        rows.append(strip(f"Error of {tables.lower(method.label)}", images, captions))
     return rows
 
 

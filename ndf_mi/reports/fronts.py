@@ -41,7 +41,6 @@ class Group:
 
     Attributes:
         title, about: heading and description.
-        quality: name of the quality, for the axis of the chart.
         rows: the rows that have it.
         values: their quality in dB, higher is better.
         front: indices of the rows that no other one dominates, by rising seconds.
@@ -52,7 +51,6 @@ class Group:
 
     title: str
     about: str
-    quality: str
     rows: list[Row]
     values: list[float]
     front: list[int]
@@ -65,7 +63,8 @@ class Group:
         """Quality against seconds."""
         pairs = zip(self.rows, self.values, strict=True)
         points = [(row.label, row.frame_seconds or 0.0, value) for row, value in pairs]
-        names = ("seconds per frame", self.quality, "")
+        quality = f"box PSNR against {'the truth' if self.by_truth else 'convergence'} (dB)"
+        names = ("seconds per frame", quality, "")
         return charts.front_chart(points, self.front, self.knee, *names, self.reference)
 
     @property
@@ -125,6 +124,5 @@ def _group(
     found, costs, values = map(list, zip(*kept, strict=True))
     front = pareto_front(costs, values, WORTH)
     at = knee([costs[i] for i in front], [values[i] for i in front])
-    name = f"box PSNR against {'the truth' if by_truth else 'convergence'} (dB)"
     bend = None if at is None else front[at]
-    return Group(title, about, name, found, values, front, bend, by_truth, reference)
+    return Group(title, about, found, values, front, bend, by_truth, reference)

@@ -26,10 +26,7 @@ class Fact:
 def write_page(path: str | os.PathLike[str], template: str, **values: Any) -> None:
     """Renders a template of this package to an HTML file that needs no other file."""
     environment = Environment(
-        loader=PackageLoader("ndf_mi.reports"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
+        loader=PackageLoader("ndf_mi.reports"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )
     style = resources.files("ndf_mi.reports").joinpath("style.css").read_text(encoding="utf-8")

@@ -17,9 +17,7 @@ METRICS = ("box_psnr", "box_ssim")
 
 
 def write_relight_report(
-    path: str | os.PathLike[str],
-    results: Mapping[str, Results],
-    captures: Mapping[str, Capture],
+    path: str | os.PathLike[str], results: Mapping[str, Results], captures: Mapping[str, Capture],
     pictures: Mapping[str, Path],
 ) -> None:
     """Writes the report of a finished relighting as one HTML file.

@@ -66,7 +66,8 @@ def metadata_fact(method: MethodResult) -> Fact:
     plain = {key: value for key, value in shown.items() if not isinstance(value, (Mapping, list, tuple))}
     nested = {key: value for key, value in shown.items() if isinstance(value, Mapping) and value}
     lines = [settings_text(plain)]
-    lines += [f"{_name(key)}: {settings_text(value)}" for key, value in nested.items()]
+    names = {"sweep": "training loss by learning rate"}
+    lines += [f"{names.get(key, key.replace('_', ' '))}: {settings_text(value)}" for key, value in nested.items()]
     return Fact(method.label, tuple(filter(None, lines)) or ("–",))
 
 
@@ -81,7 +82,3 @@ def _note(method: MethodResult) -> str:
         parts.append(f"trained for {tables.duration(known['seconds'])}{end}, {steps}.")
     parts += [known["note"]] if known.get("note") else []
     return f"{method.label}: {' '.join(parts)}" if parts else ""
-
-
-def _name(key: str) -> str:
-    return "training loss by learning rate" if key == "sweep" else key.replace("_", " ")

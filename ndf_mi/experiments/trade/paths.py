@@ -52,12 +52,8 @@ class PathTracer:
         key = setting.bounds, setting.grid_spacing, frame
         if key not in self._scenes:
             begun = time.perf_counter()
-            scene = mi.load_dict(
-                {
-                    "type": "scene", **self._lights,
-                    "performer": self._performer(setting.bounds, setting.grid_spacing, frame),
-                }
-            )
+            performer = self._performer(setting.bounds, setting.grid_spacing, frame)
+            scene = mi.load_dict({"type": "scene", **self._lights, "performer": performer})
             self._scenes[key] = scene, time.perf_counter() - begun
         return self._scenes[key]
 

@@ -21,6 +21,7 @@ OWN = "own"
 """The variant that other trained fields are compared with: the run's own preset, trained as they are."""
 RUN = "run"
 """The name of the run among the fields."""
+_LAYERS = ("density_layers", "colour_layers", "colour_linear", "deformation_layers")
 
 
 @dataclass(frozen=True)
@@ -40,11 +41,8 @@ class PathSetting:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values; the grid's spacing only if there is a grid."""
-        return {
-            key: value
-            for key, value in dataclasses.asdict(self).items()
-            if key != "grid_spacing" or value > 0
-        }
+        values = dataclasses.asdict(self)
+        return values if self.grid_spacing > 0 else {"spp": self.spp, "bounds": self.bounds}
 
 
 @dataclass(frozen=True)
@@ -98,9 +96,7 @@ def rendering_points(preset: Preset) -> list[Point]:
         label = f"rays end at transmittance {c:g}" if c else "every ray to its end"
         add("termination", f"cutoff-{c:g}", label, cutoff=c)
     # `auto` takes one of the two forms; the other one is the point.
-    width = max(
-        (*preset.density_layers, *preset.colour_layers, *preset.colour_linear, *preset.deformation_layers)
-    )
+    width = max(width for name in _LAYERS for width in getattr(preset, name))
     other = "batched" if width <= variants.fused_width() else "fused"
     forms = {
         "batched": ("evaluation", "networks as matrix products"),
@@ -120,18 +116,14 @@ def rendering_points(preset: Preset) -> list[Point]:
             key = f"samples-{n}-cutoff-0.01-size-{share:g}"
             add("together", key, label, samples=n, cutoff=1e-2, size=share)
     add("together", "samples-32-rays-4", "32 samples, 4 rays a pixel", samples=32, spp=4)
-    return points + _path_points(preset)
-
-
-def _path_points(preset: Preset) -> list[Point]:
-    usual = PathSetting()
-    points = [Point(f"path-{n}", "path", f"{n} paths a pixel", PathSetting(n)) for n in (2, usual.spp, 32)]
+    usual_paths = PathSetting().spp
+    points += [Point(f"path-{n}", "path", f"{n} paths a pixel", PathSetting(n)) for n in (2, usual_paths, 32)]
     for bounds, name in (("box", "bounding box"), ("shell", "shell")):
-        label = f"{usual.spp} paths a pixel, in the {name}"
+        label = f"{usual_paths} paths a pixel, in the {name}"
         points.append(Point(f"path-{bounds}", "path", label, PathSetting(bounds=bounds)))
     if preset.direction_octaves < 0:
         # A grid holds one colour for all directions.
-        for mm, n in ((12, usual.spp), (6, usual.spp), (3, usual.spp), (3, 32), (3, 128)):
+        for mm, n in ((12, usual_paths), (6, usual_paths), (3, usual_paths), (3, 32), (3, 128)):
             label = f"{n} paths a pixel, on a grid of {mm} mm"
             points.append(Point(f"path-grid-{mm}-{n}", "path", label, PathSetting(n, grid_spacing=mm / 1000)))
     return points
@@ -156,8 +148,7 @@ def variants_of(preset: Preset, options: TrainingOptions) -> list[Variant]:
         found.append(variant("band", f"band-{factor:g}", f"band of {100 * band:g} cm", **change))
     for factor in (0.5, 2.0):
         layers: dict[str, Any] = {
-            key: tuple(max(round(factor * w), 4) for w in getattr(preset, key))
-            for key in ("density_layers", "colour_layers", "colour_linear", "deformation_layers")
+            key: tuple(max(round(factor * w), 4) for w in getattr(preset, key)) for key in _LAYERS
         }
         widths = "–".join(map(str, dict.fromkeys((*layers["density_layers"], *layers["colour_layers"]))))
         found.append(variant("width", f"width-{factor:g}", f"layers of {widths}", **layers))

@@ -46,10 +46,8 @@ class Renderings:
         self._folder = folder
         self._views = views
         # Spread over the splits: views are sorted by split.
-        self._timed = [
-            views[i]
-            for i in dict.fromkeys(np.linspace(0, len(views) - 1, timed).round().astype(int).tolist())
-        ]
+        spread = np.linspace(0, len(views) - 1, timed).round().astype(int).tolist()
+        self._timed = [views[i] for i in dict.fromkeys(spread)]
         self._path_size = path_size
         self._lights = {"sky": {"type": "constant"}} if capture.lighting is None else lights(capture.lighting)
         self._tracers: dict[str, PathTracer] = {}
@@ -67,11 +65,9 @@ class Renderings:
         """The camera of the picture: the capture's, with fewer pixels for paths."""
         camera = self._capture.cameras[view.camera]
         share = min(self._path_size / max(camera.w, camera.h), 1.0) if point.by_paths else 1.0
-        return (
-            camera
-            if share == 1
-            else camera.scaled(max(round(share * camera.w), 1), max(round(share * camera.h), 1))
-        )
+        if share == 1:
+            return camera
+        return camera.scaled(max(round(share * camera.w), 1), max(round(share * camera.h), 1))
 
     def draw(self, point: Point, view: View, seed: int = _SEED) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1]; the seed matters to paths only."""
@@ -98,18 +94,13 @@ class Renderings:
         return np.asarray(resize(image, (camera.h, camera.w), order=1, anti_aliasing=True), dtype=np.float32)
 
     def converged(self, point: Point, view: View) -> np.ndarray:
-        """The same field rendered with many samples; kept on disk, because it takes longer than everything
-        else.
-        """
-        target: Setting | PathSetting = (
-            converged(point.setting.spp)
-            if isinstance(point.setting, Setting)
-            else PathSetting(CONVERGED_SPP, "nested")
-        )
+        """The same field with many samples; kept on disk, because it takes longer than everything else."""
+        target: Setting | PathSetting = PathSetting(CONVERGED_SPP, "nested")
+        if isinstance(point.setting, Setting):
+            target = converged(point.setting.spp)
         camera = self.camera(point, view)
-        name = hashlib.sha256(
-            f"{self.digest(point.field)} {target.to_dict()} {camera.w} {camera.h}".encode()
-        ).hexdigest()[:20]
+        conditions = f"{self.digest(point.field)} {target.to_dict()} {camera.w} {camera.h}"
+        name = hashlib.sha256(conditions.encode()).hexdigest()[:20]
         file = self._folder / name / Path(view.file).with_suffix(".npy")
         known = _read(file, (camera.h, camera.w, 3))
         if known is not None:
@@ -128,7 +119,7 @@ class Renderings:
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
     def digest(self, name: str) -> str:
-        """The digest of a field."""
+        """The digest of a field, computed once."""
         if name not in self._digests:
             self._digests[name] = field_digest(self.fields[name])
         return self._digests[name]
@@ -136,7 +127,7 @@ class Renderings:
     @staticmethod
     def scatters(run: Run) -> bool:
         """Whether a run was trained through scattering, so that its colours are albedos."""
-        return _training(run).integrator != QUADRATURE
+        return training_of(run).integrator != QUADRATURE
 
     def _draw(
         self, name: str, setting: Setting | PathSetting, frame: int, camera: Camera, seed: int
@@ -148,18 +139,16 @@ class Renderings:
     def _tracer(self, name: str) -> PathTracer:
         if name not in self._tracers:
             run = self.fields[name]
-            self._tracers[name] = PathTracer(run, self._lights, _training(run).max_depth)
+            self._tracers[name] = PathTracer(run, self._lights, training_of(run).max_depth)
         return self._tracers[name]
 
 
-def _training(run: Run) -> TrainingOptions:
+def training_of(run: Run) -> TrainingOptions:
     """The options that a run was trained with; the defaults if they are unknown."""
     known = run.config.get("training")
-    return (
-        TrainingOptions.from_dict(known, f"{run.path / 'config.json'}: training")
-        if isinstance(known, dict)
-        else TrainingOptions()
-    )
+    if not isinstance(known, dict):
+        return TrainingOptions()
+    return TrainingOptions.from_dict(known, f"{run.path / 'config.json'}: training")
 
 
 def _read(file: Path, shape: tuple[int, ...]) -> np.ndarray | None:

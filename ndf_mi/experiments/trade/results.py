@@ -118,10 +118,8 @@ class Row(Struct):
 
     def summary(self) -> dict[str, Any]:
         """JSON values for readers of the study's file: the row and its means."""
-        means = {
-            **{key: self.truth(key) for key in TRUTH}, "converged": self.converged(), "model": self.model(),
-            "seconds": self.frame_seconds,
-        }
+        means = {key: self.truth(key) for key in TRUTH}
+        means |= {"converged": self.converged(), "model": self.model(), "seconds": self.frame_seconds}
         return {**msgspec.to_builtins(self), "means": means}
 
 
@@ -146,23 +144,20 @@ class Trade(Struct):
 
     def write_csv(self, path: str | os.PathLike[str]) -> None:
         """Writes one line a point: all settings, then all measurements, means over the views."""
-        turned = list(dict.fromkeys(key for row in self.rows for key in row.setting))
+        settings = list(dict.fromkeys(key for row in self.rows for key in row.setting))
         stream = io.StringIO()
         sheet = csv.writer(stream, lineterminator="\n")
-        sheet.writerow(
-            [
-                "point", "axis", "label", "field", "integrator", *turned, "seconds_a_frame", "seconds_least",
-                "seconds_most", "repeats", "session", "loading_seconds", "training_seconds", "training_steps",
-                "peak_bytes", *TRUTH, "converged_box_psnr", "model_box_psnr",
-            ]
-        )
+        head = ["point", "axis", "label", "field", "integrator", *settings]
+        head += ["seconds_a_frame", "seconds_least", "seconds_most", "repeats", "session", "loading_seconds", "training_seconds"]
+        head += ["training_steps", "peak_bytes", *TRUTH, "converged_box_psnr", "model_box_psnr"]
+        sheet.writerow(head)
         for row in self.rows:
-            cells = [
-                row.key, row.axis, row.label, row.field, "volpath" if row.by_paths else "quadrature",
-                *(row.setting.get(key) for key in turned), row.frame_seconds, min(row.seconds, default=None),
-                max(row.seconds, default=None), len(row.seconds), row.session, row.metadata.get("loading"),
-                row.metadata.get("training_seconds"), row.metadata.get("steps"), row.memory,
-                *(row.truth(key) for key in TRUTH), row.converged(), row.model(),
-            ]
+            integrator = "volpath" if row.by_paths else "quadrature"
+            cells: list[Any] = [row.key, row.axis, row.label, row.field, integrator]
+            cells += [*map(row.setting.get, settings)]
+            cells += [row.frame_seconds, min(row.seconds, default=None), max(row.seconds, default=None)]
+            cells += [len(row.seconds), row.session]
+            cells += map(row.metadata.get, ("loading", "training_seconds", "steps"))
+            cells += [row.memory, *map(row.truth, TRUTH), row.converged(), row.model()]
             sheet.writerow(["" if cell is None else cell for cell in cells])
         files.write_text(path, stream.getvalue())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
 from ndf_mi.experiments.core import SILENT, Progress, Unit, run_units
-from ndf_mi.experiments.evaluate import choose_views, save_picture
+from ndf_mi.experiments.evaluate import held_out_views, save_picture
 from ndf_mi.experiments.fit import training_unit
 from ndf_mi.experiments.records import Trained, View
 from ndf_mi.experiments.settings import at_least, positive
@@ -26,11 +26,10 @@ from ndf_mi.experiments.store import Store
 from ndf_mi.experiments.trade import points
 from ndf_mi.experiments.trade.memory import peak_memory
 from ndf_mi.experiments.trade.points import OWN, RUN, PathSetting, Point, Variant
-from ndf_mi.experiments.trade.rendering import Renderings
-from ndf_mi.experiments.trade.results import TRUTH, Drawn, Figures, Row, Trade
-from ndf_mi.experiments.trade.timing import Session, Timings, digest_of
+from ndf_mi.experiments.trade.rendering import Renderings, training_of
+from ndf_mi.experiments.trade.results import TRUTH, Drawn, Figures, Row, Timing, Trade
+from ndf_mi.experiments.trade.timing import Session, digest_of, read_timings, seconds_of
 from ndf_mi.learn.loop import expect_capture
-from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.trained import expect_options, is_trained, read_options
 from ndf_mi.render.settings import Setting
 from ndf_mi.run import Run
@@ -108,14 +107,9 @@ class TradeStudy:
         self._run = Run.load(run)
         self.capture = Capture.read(capture)
         expect_capture(self._run, self.capture)
-        views = [
-            view
-            for view in choose_views(self.capture, settings.views, settings.seed)
-            if view.split != "train"
-        ]
-        sources = code_digest() + sources_digest(
-            "plugins", "methods", "experiments/trade/paths.py", "render/settings.py"
-        )
+        views = held_out_views(self.capture, settings.views, settings.seed)
+        rendering = ("plugins", "methods", "experiments/trade/paths.py", "render/settings.py")
+        sources = code_digest() + sources_digest(*rendering)
         self._machine = machine.describe() | {"sources": hashlib.sha256(sources.encode()).hexdigest()[:12]}
         # What figures and memory depend on besides the point itself.
         self._environment = digest_of(self._machine)
@@ -123,22 +117,17 @@ class TradeStudy:
         self._renderings = Renderings(self.capture, converged, views, settings.timed, settings.path_size)
         self._renderings.fields[RUN] = self._run
         everything = self._all_variants()
-        self._variants = [
-            variant for variant in everything if settings.trains and variant.axis in (*settings.axes, OWN)
-        ]
-        others = [
-            variant for variant in everything if variant not in self._variants and self._load_trained(variant)
-        ]
+        trained = (*settings.axes, OWN) if settings.trains else ()
+        self._variants = [variant for variant in everything if variant.axis in trained]
+        others = [v for v in everything if v not in self._variants and self._load_trained(v)]
         for variant in self._variants:
             if (self._place(variant) / "config.json").exists():
                 expect_options(Run.load(self._place(variant)), self.capture, variant.preset, variant.options)
         rendered = points.rendering_points(self._run.model.field.preset)
-        self.points = [
-            point for point in rendered if point.axis in (*settings.axes, "usual")
-        ] + self._points_of(self._variants)
-        self._other_points = [point for point in rendered if point not in self.points] + self._points_of(
-            others
-        )
+        self.points = [point for point in rendered if point.axis in (*settings.axes, "usual")]
+        self._other_points = [point for point in rendered if point not in self.points]
+        self.points += self._points_of(self._variants)
+        self._other_points += self._points_of(others)
         self._store = Store(self.folder / RESULTS, "tradeoff")
         self.trade = Trade(self._about(command, views))
 
@@ -167,24 +156,24 @@ class TradeStudy:
 
     def _fill(self, session: str) -> None:
         """Makes the rows: those of this call, then those of earlier calls that are complete."""
-        timings = Timings.read(self._store)
+        timings = read_timings(self._store)
         rows = [self._row(point, timings, session) for point in self.points]
         rows += [self._row(point, timings) for point in self._other_points if self._drawn(point)]
         self.trade.rows = [row for row in rows if row.seconds]
         used = {row.session for row in self.trade.rows}
         self.trade.about["sessions"] = {
             name: {"machine": repeats[0].machine, "timed": repeats[0].timed}
-            for name, repeats in timings.repeats.items()
+            for name, repeats in timings.items()
             if name in used
         }
         self.trade.about["session"] = session
         self.trade.about["paths"] = any(row.by_paths for row in self.trade.rows)
 
-    def _row(self, point: Point, timings: Timings, session: str | None = None) -> Row:
+    def _row(self, point: Point, timings: Mapping[str, list[Timing]], session: str | None = None) -> Row:
         drawn = self._drawn(point)
         assert drawn is not None
         cache_key = self._renderings.cache_key(point)
-        name, seconds = timings.of(point.key, cache_key, session)
+        name, seconds = seconds_of(timings, point.key, cache_key, session)
         repeats = self.settings.repeats if session else None
         return Row(
             point.key, point.axis, point.label, point.field, point.setting.to_dict(), point.by_paths,
@@ -199,8 +188,8 @@ class TradeStudy:
         return self._store.fresh(dataclasses.replace(unit, inputs=inputs))
 
     def _training(self, variant: Variant) -> Unit[Trained]:
-        key, label, place = f"fields/{variant.key}", f"train {variant.label}", self._place(variant)
-        return training_unit(key, label, place, self.capture, variant.preset, variant.options)
+        key, label = f"fields/{variant.key}", f"train {variant.label}"
+        return training_unit(key, label, self._place(variant), self.capture, variant.preset, variant.options)
 
     def _unit(self, point: Point) -> Unit[Drawn]:
         """Rendering and measuring a point."""
@@ -219,14 +208,14 @@ class TradeStudy:
             converged, truth = self._renderings.converged(point, view), self._renderings.truth(point, view)
             camera = self._renderings.camera(point, view)
             mask = metrics.box_mask(camera, self.capture.poses.vertices[self.capture.poses.index(view.frame)])
-            of_truth = {} if truth is None else metrics.measure(truth, picture, mask)
-            figures.append(
-                Figures(
-                    view, {key: of_truth[key] for key in TRUTH if key in of_truth},
-                    metrics.psnr(converged, picture, mask) if mask.any() else None,
-                    metrics.psnr(truth, converged, mask) if truth is not None and mask.any() else None,
-                )
-            )
+            found = Figures(view, {}, None, None)
+            if mask.any():
+                found.converged = metrics.psnr(converged, picture, mask)
+            if truth is not None:
+                measured = metrics.measure(truth, picture, mask)
+                found.truth = {key: measured[key] for key in TRUTH}
+                found.model = metrics.psnr(truth, converged, mask) if mask.any() else None
+            figures.append(found)
             save_picture(self._picture(point.key, view), picture)
         return Drawn(figures, memory, metadata)
 
@@ -255,8 +244,8 @@ class TradeStudy:
         return [Point(v.key, v.axis, v.label, setting, v.key) for v in variants]
 
     def _load_trained(self, variant: Variant) -> bool:
-        """Loads a variant that an earlier call trained to its end, with the options asked for now, and returns
-        whether there is one. The length of the training must only agree if this call trains too."""
+        """Loads a variant that an earlier call trained to its end with these options, if there is one. The
+        length of the training must only agree if this call trains too."""
         place, options = self._place(variant), variant.options
         try:
             if not is_trained(place):
@@ -272,15 +261,10 @@ class TradeStudy:
         return True
 
     def _all_variants(self) -> list[Variant]:
-        known = self._run.config.get("training")
-        where = f"{self._run.path / 'config.json'}: training"
-        options = TrainingOptions.from_dict(known, where) if isinstance(known, dict) else TrainingOptions()
-        steps, seconds = (
-            (UNLIMITED, self.settings.seconds) if self.settings.steps is None else (self.settings.steps, 0.0)
-        )
-        return points.variants_of(
-            self._run.model.field.preset, dataclasses.replace(options, steps=steps, seconds=seconds)
-        )
+        steps, seconds = self.settings.steps, self.settings.seconds
+        options = dataclasses.replace(training_of(self._run), steps=steps or UNLIMITED,
+                                      seconds=seconds if steps is None else 0.0)
+        return points.variants_of(self._run.model.field.preset, options)
 
     def _place(self, variant: Variant) -> Path:
         return self.folder / FIELDS / variant.key

@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,32 +49,24 @@ class Session:
     @property
     def name(self) -> str:
         """A digest of the conditions."""
-        return digest_of(
-            {"machine": dict(self.machine), "points": list(self.cache_keys), "timed": self.timed}
-        )
+        points = list(self.cache_keys)
+        return digest_of({"machine": dict(self.machine), "points": points, "timed": self.timed})
 
     def units(self, repeats: int) -> list[Unit[Timing]]:
         """One unit a repeat."""
-        inputs = {"session": self.name}
-
-        def unit(repeat: int) -> Unit[Timing]:
-            return Unit(
-                f"timing/{self.name}/{repeat}", inputs, lambda: self._repeat(repeat), Timing,
-                label="time all points",
-            )
-
-        return [unit(repeat) for repeat in range(repeats)]
+        key, inputs, label = f"timing/{self.name}", {"session": self.name}, "time all points"
+        return [
+            Unit(f"{key}/{repeat}", inputs, partial(self._repeat, repeat), Timing, label=label)
+            for repeat in range(repeats)
+        ]
 
     def _repeat(self, repeat: int) -> Timing:
         if not self._compiled:
             self._round(0)
             self._compiled = True
-        taken = self._round(repeat + 1)
-        keys = [point.key for point in self.points]
-        return Timing(
-            dict(self.machine), self.timed, dict(zip(keys, self.cache_keys, strict=True)),
-            dict(zip(keys, taken, strict=True)),
-        )
+        keys, taken = [point.key for point in self.points], self._round(repeat + 1)
+        cache_keys = dict(zip(keys, self.cache_keys, strict=True))
+        return Timing(dict(self.machine), self.timed, cache_keys, dict(zip(keys, taken, strict=True)))
 
     def _round(self, number: int) -> list[float]:
         """Mean seconds of each point over its views. In each view, all points are rendered in an order drawn
@@ -96,30 +89,26 @@ def digest_of(conditions: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(conditions, sort_keys=True).encode()).hexdigest()[:12]
 
 
-@dataclass(frozen=True)
-class Timings:
-    """All timings that a study has stored.
+def read_timings(store: Store) -> dict[str, list[Timing]]:
+    """The repeats of each stored session, by its name, from the oldest session to the newest.
 
-    Attributes:
-        repeats: the repeats of each session, by its name, from the oldest session to the newest.
+    Raises:
+        InputError: they are damaged.
     """
+    found: dict[str, list[Timing]] = {}
+    for key, timing in store.matching("timing/", Timing).items():
+        found.setdefault(key.split("/")[1], []).append(timing)
+    return found
 
-    repeats: Mapping[str, list[Timing]]
 
-    @classmethod
-    def read(cls, store: Store) -> Timings:
-        """The stored timings. Raises InputError if they are damaged."""
-        found: dict[str, list[Timing]] = {}
-        for key, timing in store.matching("timing/", Timing).items():
-            found.setdefault(key.split("/")[1], []).append(timing)
-        return cls(found)
-
-    def of(self, key: str, cache_key: str, session: str | None = None) -> tuple[str, list[float]]:
-        """Session and seconds of a point with this cache key: of the given session, or of the newest that
-        timed it.
-        """
-        for name in reversed(list(self.repeats)) if session is None else [session]:
-            timings = self.repeats.get(name, [])
-            if timings and all(timing.points.get(key) == cache_key for timing in timings):
-                return name, [timing.seconds[key] for timing in timings]
-        return "", []
+def seconds_of(
+    timings: Mapping[str, list[Timing]], key: str, cache_key: str, session: str | None = None
+) -> tuple[str, list[float]]:
+    """Session and seconds of a point with this cache key: of the given session, or of the newest that timed
+    it; empty if there is none.
+    """
+    for name in reversed(list(timings)) if session is None else [session]:
+        repeats = timings.get(name, [])
+        if repeats and all(timing.points.get(key) == cache_key for timing in repeats):
+            return name, [timing.seconds[key] for timing in repeats]
+    return "", []
