@@ -79,27 +79,26 @@ def rewrite_arguments(arguments: Sequence[str], options: Sequence[DeprecatedOpti
     Raises:
         InputError: an old option has a value that it never had, or is given together with the new one.
     """
+    def name(argument: str) -> str:
+        return argument.partition("=")[0].replace("_", "-")
+
     known = {option.old: option for option in options}
     rewritten: list[str] = []
     waiting = list(arguments)
     while waiting:
         argument = waiting.pop(0)
-        option = known.get(_name(argument))
+        option = known.get(name(argument))
         if option is None or not ("=" in argument or waiting):
             rewritten.append(argument)
             continue
-        if option.old != option.new and option.new in map(_name, arguments):
+        if option.old != option.new and option.new in map(name, arguments):
             raise InputError(option.old, f"it together with {option.new}", f"{option.new} alone")
         rewritten += option.rewrite(argument.partition("=")[2] if "=" in argument else waiting.pop(0))
     return rewritten
 
 
 def rename_parameter(props: Any, plugin: str, old: str, new: str) -> None:
-    """Moves a plugin's XML parameter from its old name to its new one, with a warning.
-
-    Args:
-        props: the plugin's ``mi.Properties``.
-        plugin: the plugin's name, for messages.
+    """Moves a parameter in a plugin's ``mi.Properties`` from its old name to its new one, with a warning.
 
     Raises:
         InputError: both names are given.
@@ -138,7 +137,3 @@ def rename_entry(name: str, names: Mapping[str, str]) -> str:
         return name
     warn(name, names[name])
     return names[name]
-
-
-def _name(argument: str) -> str:
-    return argument.partition("=")[0].replace("_", "-")

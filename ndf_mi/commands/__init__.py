@@ -117,10 +117,8 @@ def find(arguments: Sequence[str]) -> Entry | None:
 def usage(entries: Sequence[Entry]) -> str:
     """The list of commands, as ``--help`` shows it."""
     width = max(len(entry.name) for entry in entries)
-    lines = [f"  {entry.name:<{width}}  {entry.summary}" for entry in entries]
-    return "\n".join(
-        ["usage: ndf-mi COMMAND [OPTIONS]; `ndf-mi COMMAND --help` lists the options", "", *lines]
-    )
+    head = "usage: ndf-mi COMMAND [OPTIONS]; `ndf-mi COMMAND --help` lists the options\n"
+    return "\n".join([head, *(f"  {entry.name:<{width}}  {entry.summary}" for entry in entries)])
 
 
 def _parse(entry: Entry, arguments: Sequence[str]) -> Any:

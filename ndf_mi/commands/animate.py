@@ -142,13 +142,13 @@ class Animate:
 
     def _render(self, animation: Animation, folder: FrameFolder, frames: range, rate: float) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
         from ndf_mi.animate.video import write_video
 
         missing = animation.missing(folder, frames)
         console, total = Console(file=sys.stderr), len(frames)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         try:
             with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
                 task = bar.add_task("rendering", total=total, completed=total - len(missing))

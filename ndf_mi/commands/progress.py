@@ -7,17 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
+from rich import progress as rich
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    SpinnerColumn,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from ndf_mi.experiments import core
 from ndf_mi.experiments.core import Unit
@@ -37,11 +28,11 @@ class ConsoleProgress(core.Progress):
     def __init__(self, stream: TextIO, bars: bool = True) -> None:
         self._console = Console(file=stream)
         self._bars = bars and self._console.is_terminal
-        self._progress = Progress(
-            SpinnerColumn(), TextColumn("{task.description}"), BarColumn(),
-            TextColumn("{task.fields[details]}"), TimeElapsedColumn(), console=self._console,
+        self._progress = rich.Progress(
+            rich.SpinnerColumn(), "{task.description}", rich.BarColumn(), "{task.fields[details]}",
+            rich.TimeElapsedColumn(), console=self._console,
         )
-        self._tasks: dict[str, TaskID] = {}
+        self._tasks: dict[str, rich.TaskID] = {}
         self._begun: set[str] = set()
 
     def __enter__(self) -> ConsoleProgress:
@@ -56,10 +47,8 @@ class ConsoleProgress(core.Progress):
     def training(self, label: str, seconds: float, budget: float | None, step: int, loss: float) -> None:
         """Updates the bar of a training."""
         if self._bars:
-            psnr = -10 * math.log10(max(loss, 1e-12))
-            self._progress.update(
-                self._task(label), total=budget, completed=seconds, details=f"step {step}  {psnr:.2f} dB"
-            )
+            details = f"step {step}  {-10 * math.log10(max(loss, 1e-12)):.2f} dB"
+            self._progress.update(self._task(label), total=budget, completed=seconds, details=details)
 
     def begin(self, unit: Unit[Any], number: int, of: int, why: str) -> None:
         """Shows a new bar, or prints a line unless one of this label was printed; with the reason if an
@@ -76,11 +65,10 @@ class ConsoleProgress(core.Progress):
     def done(self, unit: Unit[Any], number: int, of: int) -> None:
         """Updates the bar of a group."""
         if self._bars:
-            self._progress.update(
-                self._task(unit.group or unit.label), total=of, completed=number, details=f"{number} of {of}"
-            )
+            task = self._task(unit.group or unit.label)
+            self._progress.update(task, total=of, completed=number, details=f"{number} of {of}")
 
-    def _task(self, name: str) -> TaskID:
+    def _task(self, name: str) -> rich.TaskID:
         if name not in self._tasks:
             self._tasks[name] = self._progress.add_task(name, total=None, details="")
         return self._tasks[name]
@@ -90,8 +78,8 @@ class ConsoleProgress(core.Progress):
 def image_bar() -> Iterator[Callable[[int, int], None]]:
     """Yields a function of the numbers of finished and of all images. The bar starts with its first call, so
     that errors before it come without a bar."""
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    bar = Progress(TextColumn("{task.description}"), *columns)
+    columns = (rich.BarColumn(), rich.MofNCompleteColumn(), rich.TimeElapsedColumn())
+    bar = rich.Progress("{task.description}", *columns, rich.TimeRemainingColumn())
     task = bar.add_task("images", total=None)
 
     def show(done: int, total: int) -> None:

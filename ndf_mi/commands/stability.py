@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 EXTRA = "stability"
 #: Modules of cases, in the order in which they run.
-SUBJECTS = (
-    "integration", "rays", "fields", "majorants", "geometry", "bodies", "cameras", "learning", "images")
+SUBJECTS = "integration rays fields majorants geometry bodies cameras learning images".split()
 
 
 @dataclass
@@ -60,11 +59,11 @@ class Stability:
             for result in self._run_tests(collect_only=True).results.values():
                 print(f"{result.subject:<12} {result.name:<28} {result.case.what}")
             return 0
+        # pytest captures what is printed to the standard output of its time.
         out = sys.stdout
 
         def report(result: Result) -> None:
-            for text in (table.line(result.cells()), *(f"  {text}" for text in result.details())):
-                print(text, file=out, flush=True)
+            print(table.line(result.cells()), *result.details(), sep="\n  ", file=out, flush=True)
 
         print(table.line(table.HEADER), flush=True)
         results = [*self._run_tests(report).results.values()]
@@ -72,9 +71,8 @@ class Stability:
         names = f": {', '.join(exceeding)}" if exceeding else ""
         print(f"\n{len(results)} cases, {len(exceeding)} exceed their tolerances{names}")
         if self.out is not None:
-            about = {
-                "ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__,
-                "variant": mi.variant()}
+            about = {module.__name__: module.__version__ for module in (ndf_mi, mi, dr)}
+            about["variant"] = mi.variant()
             table.write(self.out, results, about)
             print(self.out)
         return 1 if exceeding else 0
@@ -98,17 +96,17 @@ class Stability:
         arguments = [
             "-c", os.devnull, f"--rootdir={folder}", f"--confcutdir={folder}", "--import-mode=importlib",
             "--capture=sys", "-p", "no:terminal", "-p", "no:cacheprovider",
-            *(["--collect-only"] if collect_only else [])]
+            *(["--collect-only"] if collect_only else []),
+            *(str(folder / f"test_{subject}.py") for subject in SUBJECTS)]
         with pytest.MonkeyPatch.context() as environment:
             environment.delenv("PYTEST_ADDOPTS", raising=False)
             environment.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-            code = pytest.main(
-                [*arguments, *(str(folder / f"test_{subject}.py") for subject in SUBJECTS)], plugins=[found])
+            code = pytest.main(arguments, plugins=[found])
         if found.unknown:
             raise InputError("--only", ", ".join(found.unknown), "names of: " + ", ".join(found.names))
         if not found.names:
             raise RuntimeError(f"pytest cannot collect the cases in {folder} (exit code {code})")
         if not found.results:
-            raise InputError(
-                "--quick", f"it with --only {' '.join(self.only)}, whose cases all take long", "one of them")
+            both = f"it with --only {' '.join(self.only)}, whose cases all take long"
+            raise InputError("--quick", both, "one of them")
         return found

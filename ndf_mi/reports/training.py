@@ -66,8 +66,9 @@ def metadata_fact(method: MethodResult) -> Fact:
     plain = {key: value for key, value in shown.items() if not isinstance(value, (Mapping, list, tuple))}
     nested = {key: value for key, value in shown.items() if isinstance(value, Mapping) and value}
     lines = [settings_text(plain)]
-    names = {"sweep": "training loss by learning rate"}
-    lines += [f"{names.get(key, key.replace('_', ' '))}: {settings_text(value)}" for key, value in nested.items()]
+    for key, value in nested.items():
+        name = "training loss by learning rate" if key == "sweep" else key.replace("_", " ")
+        lines.append(f"{name}: {settings_text(value)}")
     return Fact(method.label, tuple(filter(None, lines)) or ("–",))
 
 
