@@ -2,20 +2,22 @@
 
     python benchmarks/growth.py RUN -o growth --repeats 5
 
-Each curve raises one quantity over a decade or more and keeps the rest: `--size` pixels, 64 samples, quadrature, the
-run's preset and frame.
+Each curve raises one quantity over a decade or more and keeps the rest: `--size` pixels, 64 samples,
+quadrature, the run's preset and frame.
 
     rays        pictures of the run from 32 × 32 pixels on, by the number of rays that hit the body's box
     samples     candidate samples a ray
     triangles   a sphere of finer and finer triangles in place of the body, with the run's preset, untrained
     posing      the same sphere, only posed: boxes, cells and search tree
     frames      successive frames of the run, each posed for the first time; up to 128 poses are kept
-    width       hidden layers of the networks, as cooperative vectors and as matrix products; untrained, each ray to its end
+    width       hidden layers of the networks, as cooperative vectors and as matrix products; untrained, each
+                ray to its end
 
-After a round that compiles the kernels, every repeat measures each point of all curves once, in random order. Seconds are
-medians. Memory is the peak of Dr.Jit's allocations minus what was allocated before. The benchmark writes growth.csv and
-growth.html with plots and fits of y = fixed + factor·x^exponent, and prints a sentence for each curve. A curve of fewer than
-three points, such as the frames of a run that has two, appears in the table only.
+After a round that compiles the kernels, every repeat measures each point of all curves once, in random order.
+Seconds are medians. Memory is the peak of Dr.Jit's allocations minus what was allocated before. The benchmark
+writes growth.csv and growth.html with plots and fits of y = fixed + factor·x^exponent, and prints a sentence
+for each curve. A curve of fewer than three points, such as the frames of a run that has two, appears in the
+table only.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ import io
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -93,9 +96,14 @@ def main(options: Options) -> None:
     """Measures, writes and prints."""
     run = Run.load(options.run)
     camera = framing(run.poses.vertices[0], options.size, options.size)
-    made = {"rays": lambda: rays(run), "samples": lambda: samples(run, camera), "frames": lambda: frames(run, options.size),
-            "triangles": lambda: triangles(run, options.size, posing=False), "posing": lambda: triangles(run, options.size, posing=True),
-            "width": lambda: width(run, camera)}
+    made = {
+        "rays": lambda: rays(run),
+        "samples": lambda: samples(run, camera),
+        "frames": lambda: frames(run, options.size),
+        "triangles": lambda: triangles(run, options.size, posing=False),
+        "posing": lambda: triangles(run, options.size, posing=True),
+        "width": lambda: width(run, camera),
+    }
     points = [point for curve in options.curves for point in made[curve]()]
     for number, point in enumerate(points, start=1):
         print(f"\rcompiling and counting: {number} of {len(points)}", end="", flush=True)
@@ -123,7 +131,8 @@ def rays(run: Run) -> list[Point]:
 
 def samples(run: Run, camera: Camera) -> list[Point]:
     """Pictures with more and more samples a ray."""
-    return [Point("samples", n, lambda n=n: draw(run, camera, Setting(n))) for n in (8, 16, 32, 64, 128, 256, 512, 1024)]
+    numbers = (8, 16, 32, 64, 128, 256, 512, 1024)
+    return [Point("samples", n, lambda n=n: draw(run, camera, Setting(n))) for n in numbers]
 
 
 def triangles(run: Run, size: int, posing: bool) -> list[Point]:
@@ -143,18 +152,21 @@ def triangles(run: Run, size: int, posing: bool) -> list[Point]:
 def frames(run: Run, size: int) -> list[Point]:
     """Successive frames of a run that has not posed any of them."""
     numbers = [int(frame) for frame in run.poses.frames]
-    return [Point("frames", n, lambda n=n: sequence(run, numbers[:n], size)) for n in (1, 2, 4, 8, 16, 32) if n <= len(numbers)]
+    counts = (n for n in (1, 2, 4, 8, 16, 32) if n <= len(numbers))
+    return [Point("frames", n, lambda n=n: sequence(run, numbers[:n], size)) for n in counts]
 
 
 def width(run: Run, camera: Camera) -> list[Point]:
     """Wider and wider networks in both forms."""
     found = []
     for layers in (8, 16, 32, 64, 128, 256):
-        preset = dataclasses.replace(run.model.field.preset, density_layers=(layers,), colour_layers=(layers,))
+        networks = {"density_layers": (layers,), "colour_layers": (layers,)}
+        preset = dataclasses.replace(run.model.field.preset, **networks)
         other = Run.create(run.path, preset, run.body, run.poses, 0, background=[0.0, 0.0, 0.0])
         for form in (form for form in ("fused", "batched") if form in networks_here()):
             setting = Setting(64, cutoff=0.0, networks=form)
-            found.append(Point(f"width, {form}", layers, lambda other=other, setting=setting: draw(other, camera, setting)))
+            drawn = partial(draw, other, camera, setting)
+            found.append(Point(f"width, {form}", layers, drawn))
     return found
 
 
@@ -186,11 +198,11 @@ def sphere(run: Run, subdivisions: int) -> Run:
     # Triangles that cross the meridian where u jumps continue beyond 1.
     u[(u.max(1) - u.min(1) > 0.5)[:, None] & (u < 0.5)] += 1
     uv = np.stack([u.ravel() / 1.5, 0.5 + np.arcsin(np.clip(corners[:, 1], -1, 1)) / np.pi], -1)
-    body = Body(faces=faces, uv=np.clip(uv, 0, 1).astype(np.float32), uv_faces=np.arange(faces.size, dtype=np.int32).reshape(-1, 3),
-                template=vertices)
+    uv_faces = np.arange(faces.size, dtype=np.int32).reshape(-1, 3)
+    body = Body(faces=faces, uv=np.clip(uv, 0, 1).astype(np.float32), uv_faces=uv_faces, template=vertices)
     nothing = np.zeros((1, 3), np.float32)
-    poses = Poses(frames=np.zeros(1, np.int32), vertices=vertices[None], pose=np.zeros((1, 1, 3), np.float32), root_rotation=nothing,
-                  translation=nothing)
+    poses = Poses(frames=np.zeros(1, np.int32), vertices=vertices[None], pose=nothing[None],
+                  root_rotation=nothing, translation=nothing)
     return Run.create(run.path, run.model.field.preset, body, poses, 0, background=[0.0, 0.0, 0.0])
 
 
@@ -200,17 +212,21 @@ def write(points: list[Point], options: Options) -> None:
     sheet = csv.writer(stream, lineterminator="\n")
     sheet.writerow(["curve", "x", "seconds", "seconds_least", "seconds_most", "peak_bytes"])
     for point in points:
-        sheet.writerow([point.curve, point.x, np.median(point.seconds), min(point.seconds), max(point.seconds), point.memory])
+        seconds = np.median(point.seconds), min(point.seconds), max(point.seconds)
+        sheet.writerow([point.curve, point.x, *seconds, point.memory])
     files.write_text(options.out / "growth.csv", stream.getvalue())
     curves = []
     for curve in dict.fromkeys(point.curve for point in points):
         mine = [point for point in points if point.curve == curve]
         x = [point.x for point in mine]
         charts, sentences = [], []
+        costs = [("Time", "s", [float(np.median(point.seconds)) for point in mine]),
+                 ("Memory", "MiB", [max(point.memory, 1) / 2**20 for point in mine])]
         if len(mine) < 3:
-            sentences.append(f"{len(mine)} point{'' if len(mine) == 1 else 's'}: too few to fit a curve, which takes three.")
-        for cost, unit, values in (("Time", "s", [float(np.median(point.seconds)) for point in mine]),
-                                   ("Memory", "MiB", [max(point.memory, 1) / 2**20 for point in mine])) if len(mine) >= 3 else ():
+            number = f"{len(mine)} point{'' if len(mine) == 1 else 's'}"
+            sentences.append(f"{number}: too few to fit a curve, which takes three.")
+            costs = []
+        for cost, unit, values in costs:
             growth = fit_growth(x, values)
             line = np.geomspace(x[0], x[-1], 100)
             fit = (growth.formula(), line, growth.at(line))
@@ -219,7 +235,8 @@ def write(points: list[Point], options: Options) -> None:
         print(f"{curve}\n  " + "\n  ".join(sentences))
         curves.append({"name": curve, "charts": charts, "sentences": sentences})
     origin = [Fact(label, (value,)) for label, value in machine.describe().items()]
-    write_page(options.out / "growth.html", "growth.html.j2", curves=curves, repeats=options.repeats, memory=MEANING, origin=origin)
+    write_page(options.out / "growth.html", "growth.html.j2", curves=curves, repeats=options.repeats,
+               memory=MEANING, origin=origin)
     print(f"\n{options.out / 'growth.html'}")
 
 

@@ -17,10 +17,10 @@ OPTIONS = (
 
 
 @pytest.mark.parametrize(("given", "rewritten", "warned"), [
-    (["RUN", "--old-name", "3", "-o", "x"], ["RUN", "--new-name", "3", "-o", "x"], ["--old-name", "--new-name"]),
+    (["RUN", "--old-name", "3"], ["RUN", "--new-name", "3"], ["--old-name", "--new-name"]),
     (["--old_name=3", "RUN"], ["--new-name", "3", "RUN"], ["--old-name", "--new-name"]),
     (["--old-name"], ["--old-name"], []),
-    (["--protocol", "ours", "RUN"], ["--protocol", "default", "RUN"], ["--protocol ours", "--protocol default"]),
+    (["--protocol", "ours", "RUN"], ["--protocol", "default", "RUN"], ["--protocol ours", "default"]),
     (["--protocol=ours"], ["--protocol", "default"], ["--protocol ours"]),
     (["--offsets", "none", "RUN"], ["--methods", "a,b", "RUN"], ["--offsets none", "--methods a,b"]),
     (["--offsets=all", "RUN"], ["RUN"], ["--offsets all", "--methods"]),

@@ -20,4 +20,5 @@ def test_a_log_has_one_line_for_each_label():
             progress.begin(unit, number, of, "capture changed" if unit.label == "render b" else NO_RECORD)
             progress.training(unit.label, 1.0, None, 1, 0.01)
             progress.done(unit, number, of)
-    assert stream.getvalue().splitlines() == ["train a", "render a (1 of 2)", "render b (1 of 2; capture changed)", "render c (2 of 2)"]
+    lines = ["train a", "render a (1 of 2)", "render b (1 of 2; capture changed)", "render c (2 of 2)"]
+    assert stream.getvalue().splitlines() == lines

@@ -19,13 +19,15 @@ def channels(path):
 
 def test_a_run_to_png_and_to_exr(make_constant_run, tmp_path):
     run = make_constant_run(200.0, srgb=(0.8, 0.4, 0.2))
-    assert main(["render", str(run.path), "-o", str(tmp_path / "a.png"), "--size", "40", "30", "--frame", "2", "--azimuth", "40"]) == 0
+    view = ["--size", "40", "30", "--frame", "2", "--azimuth", "40"]
+    assert main(["render", str(run.path), "-o", str(tmp_path / "a.png"), *view]) == 0
     image = imread(tmp_path / "a.png")
     assert image.shape == (30, 40, 3)
     assert np.abs(image[15, 20].astype(int) - [204, 102, 51]).max() <= 2 and (image[0, 0] == 0).all()
     assert main(["render", str(run.path), "-o", str(tmp_path / "a.exr"), "--size", "40", "30"]) == 0
     found = channels(tmp_path / "a.exr")
-    assert {"R", "G", "B", "A", "depth.T", "uvl.U", "uvl.V", "uvl.L", "normal.X", "normal.Y", "normal.Z"} == set(found)
+    geometry = {"depth.T", "uvl.U", "uvl.V", "uvl.L", "normal.X", "normal.Y", "normal.Z"}
+    assert set(found) == {"R", "G", "B", "A"} | geometry
     assert found["A"][15, 20] > 0.99 and found["normal.Z"][15, 20] > 0.9
     assert found["R"][15, 20] == pytest.approx(0.604, abs=0.01)
 
@@ -33,34 +35,36 @@ def test_a_run_to_png_and_to_exr(make_constant_run, tmp_path):
 def test_a_scene_to_exr_with_its_aovs(make_constant_run, tmp_path):
     run = make_constant_run(200.0)
     scene = tmp_path / "scene.xml"
-    scene.write_text(SCENE.read_text().replace('<integrator type="$integrator"/>',
-                     '<integrator type="$integrator"><string name="aovs" value="depth,opacity"/></integrator>'))
+    aovs = '<string name="aovs" value="depth,opacity"/>'
+    integrator = f'<integrator type="$integrator">{aovs}</integrator>'
+    scene.write_text(SCENE.read_text().replace('<integrator type="$integrator"/>', integrator))
     out = tmp_path / "b.exr"
-    arguments = ["-D", f"run={run.path}", "-D", "origin=0, 0, 2", "-D", "target=0, 0, 0", "--frame", "1", "--size", "24", "20"]
-    assert main(["render", str(scene), "-o", str(out), *arguments]) == 0
+    arguments = ["-D", f"run={run.path}", "-D", "origin=0, 0, 2", "-D", "target=0, 0, 0", "--frame", "1"]
+    assert main(["render", str(scene), "-o", str(out), *arguments, "--size", "24", "20"]) == 0
     found = channels(out)
     assert found["depth.T"].shape == (20, 24) and found["opacity.A"].max() > 0.99
 
 
-@pytest.mark.parametrize(("integrator", "told"), [("path", 1), ("volpath", 0), ("ndf_path", 0)])
-def test_a_picture_without_the_performer_is_told_of(make_constant_run, tmp_path, capsys, integrator, told):
+@pytest.mark.parametrize(("integrator", "warnings"), [("path", 1), ("volpath", 0), ("ndf_path", 0)])
+def test_a_picture_without_the_performer_warns(make_constant_run, tmp_path, capsys, integrator, warnings):
     run = make_constant_run(20.0)
     out = tmp_path / "c.png"
     place = ["-D", "origin=0, 0.5, 2", "-D", "target=0, 0.2, 0", "--size", "8", "8", "--spp", "1"]
-    assert main(["render", str(SCENE.with_name("lit.xml")), "-o", str(out), "-D", f"run={run.path}", "-D", f"integrator={integrator}",
-                 *place]) == 0
+    scene = [str(SCENE.with_name("lit.xml")), "-D", f"run={run.path}", "-D", f"integrator={integrator}"]
+    assert main(["render", *scene, "-o", str(out), *place]) == 0
     error = capsys.readouterr().err
-    assert error.count("warning") == error.count("knows no media") == told
+    assert error.count("warning") == error.count("knows no media") == warnings
     assert imread(out).shape == (8, 8, 3)
 
 
-def test_albedos_shown_as_light_are_told_of(make_constant_run, tmp_path, capsys):
+def test_albedos_shown_as_light_warn(make_constant_run, tmp_path, capsys):
     run = make_constant_run(20.0)
-    for training, told in ((None, 0), ({"integrator": "ndf_quadrature"}, 0), ({"integrator": "prbvolpath", "warm_up": 5}, 1)):
+    scattering = {"integrator": "prbvolpath", "warm_up": 5}
+    for training, warnings in ((None, 0), ({"integrator": "ndf_quadrature"}, 0), (scattering, 1)):
         run.config["training"] = training
         run.save()
         assert main(["render", str(run.path), "-o", str(tmp_path / "d.png"), "--size", "8", "8"]) == 0
-        assert capsys.readouterr().err.count("as if they were light") == told
+        assert capsys.readouterr().err.count("as if they were light") == warnings
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
@@ -79,7 +83,7 @@ def test_albedos_shown_as_light_are_told_of(make_constant_run, tmp_path, capsys)
     ([str(SCENE), "-o", "x.png", "-D", "run=RUN", "-D", "colour=red"], "colour"),
     ([str(SCENE), "-o", "x.png", "-D", "run=RUN", "--frame", "7"], "7"),
 ])
-def test_mistakes_are_told_with_exit_code_2(make_run, tmp_path, monkeypatch, capsys, arguments, words):
+def test_invalid_input_exits_with_code_2(make_run, tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
     make_run("RUN")
     assert main(["render", *arguments]) == 2
@@ -90,7 +94,9 @@ def test_mistakes_are_told_with_exit_code_2(make_run, tmp_path, monkeypatch, cap
 
 def test_optimise_and_resume(capture, tmp_path, capsys):
     out = str(tmp_path / "run")
-    options = ["--preset", "tiny", "--steps", "3", "--option", "rays=64", "--option", "samples=8", "--option", "density_layers=[8]"]
+    options = ["--preset", "tiny", "--steps", "3"]
+    for option in ("rays=64", "samples=8", "density_layers=[8]"):
+        options += ["--option", option]
     assert main(["optimise", str(capture.path), "-o", out, *options]) == 0
     assert "3 steps" in capsys.readouterr().out
     assert main(["optimise", str(capture.path), "-o", out, "--resume"]) == 0

@@ -123,7 +123,7 @@ def test_views_of_frames_not_trained_on_are_refused():
         ZJU.check(capture)
 
 
-def test_what_differs_in_training_is_said():
+def test_differences_in_training_are_noted():
     grey, black = layout(background=0.5, **OF_313), layout(**OF_313)
     assert ZJU.notes({"edge_kernel": 3}, black) == []
     kernel, background = ZJU.notes({"edge_kernel": 0}, grey)
@@ -196,7 +196,7 @@ DIFFERENCES = {
 
 
 @pytest.mark.parametrize("case", DIFFERENCES)
-def test_every_difference_from_the_subjects_protocol_is_said(case):
+def test_every_difference_from_the_subjects_protocol_is_noted(case):
     arguments, expected = DIFFERENCES[case]
     capture = layout(**arguments)
     ZJU.check(capture)
@@ -206,7 +206,7 @@ def test_every_difference_from_the_subjects_protocol_is_said(case):
     ), notes
 
 
-def test_differences_from_dynacaps_numbers_are_said():
+def test_differences_from_dynacaps_numbers_are_noted():
     def notes(test, seen, novel):
         capture = layout(10, test, seen, novel, imported=imported("D1", (), "dynacap", 1.0))
         DYNACAP.check(capture)

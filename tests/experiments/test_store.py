@@ -146,7 +146,8 @@ def test_a_tradeoff_of_version_1_keeps_points_and_timings() -> None:
     assert old["points"]
     timings = store.matching("timing/", Timing)
     for row in old["points"]:
-        drawn = store.fresh(unit(f"draw/{row['key']}", Drawn, images=row["fingerprint"], environment=row["under"]))
+        inputs = {"images": row["fingerprint"], "environment": row["under"]}
+        drawn = store.fresh(unit(f"draw/{row['key']}", Drawn, **inputs))
         assert (
             drawn.memory == row["memory"]
             and drawn.figures[0].truth["box_psnr"] == row["figures"][0]["truth"]["box_psnr"]
