@@ -7,10 +7,8 @@ import mitsuba as mi
 
 from ndf_mi.deprecated import warn
 from ndf_mi.errors import InputError
-
-_MARGIN = 1.05
-_FLOOR = 0.05
-"""Least majorant in 1/m: free flights divide by it."""
+from ndf_mi.render.majorant import FLOOR
+from ndf_mi.render.sparse_grid import MARGIN
 
 
 def register() -> None:
@@ -71,7 +69,7 @@ def register() -> None:
             """
             nx, ny, nz = self.shape
             self._texture.set_tensor(mi.TensorXf(nodes, (nz, ny, nx, 4)))
-            low, majorant = mi.Point3f(low), dr.maximum(mi.Float(densest) * _MARGIN, _FLOOR)
+            low, majorant = mi.Point3f(low), dr.maximum(mi.Float(densest) * MARGIN, FLOOR)
             dr.make_opaque(low, majorant)
             self.low, self.majorant = low, majorant
 

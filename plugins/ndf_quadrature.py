@@ -12,6 +12,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.render import properties
 from ndf_mi.render.performers import FieldMedium, NeuralField, emitting
 from ndf_mi.render.quadrature import Radiance, quadrature
+from ndf_mi.render.sampling import join
 from ndf_mi.render.transport import Performer
 
 RAYS_AT_ONCE = 1 << 15
@@ -97,8 +98,8 @@ def register() -> None:
             width = dr.width(ray.d)
             passes = [self._pass(performer, ray, offset, first, min(RAYS_AT_ONCE, width - first))
                       for first in range(0, width, RAYS_AT_ONCE)]
-            colour = mi.Color3f(*[_concat([seen.colour[i] for seen in passes]) for i in range(3)])
-            opacity = _concat([seen.opacity for seen in passes])
+            colour = mi.Color3f(*[join([seen.colour[i] for seen in passes]) for i in range(3)])
+            opacity = join([seen.opacity for seen in passes])
             environment = scene.environment()
             if environment is not None:
                 si = dr.zeros(mi.SurfaceInteraction3f, width)
@@ -125,10 +126,10 @@ def register() -> None:
             values: list[mi.Float] = []
             for name in self.aovs:
                 if name in ("depth", "opacity"):
-                    values.append(_concat([getattr(seen, name) for seen in passes]))
+                    values.append(join([getattr(seen, name) for seen in passes]))
                 else:
                     attribute = "u" if name == "uvl" else "normal"
-                    values += [_concat([getattr(seen, attribute)[i] for seen in passes]) for i in range(3)]
+                    values += [join([getattr(seen, attribute)[i] for seen in passes]) for i in range(3)]
             return values
 
         def to_string(self) -> str:
@@ -150,7 +151,3 @@ def _performer(scene: mi.Scene) -> Performer:
         raise InputError("ndf_quadrature", f"{len(found)} `ndf` media in the "
                                            "scene", "exactly one, as the interior of a shape")
     return emitting(found[0])
-
-
-def _concat(parts: list[mi.Float]) -> mi.Float:
-    return parts[0] if len(parts) == 1 else dr.concat(parts)

@@ -101,8 +101,8 @@ class Render:
         return 0
 
     def _render_run(self) -> None:
-        from ndf_mi.render.colours import misread
         from ndf_mi.render.output import write_field_image
+        from ndf_mi.render.performers import misread
         from ndf_mi.run import Run
 
         if self.define:

@@ -22,7 +22,7 @@ from ndf_mi.experiments.store import Store
 from ndf_mi.methods.base import Budget, Light, Relightable
 from ndf_mi.methods.lit_field import RelightableField
 from ndf_mi.methods.lit_mesh import RelightableMesh
-from ndf_mi.render.lights import lights
+from ndf_mi.render.scene import lights
 
 SEEN, UNSEEN = "seen", "unseen"
 WORK = "relight"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import drjit as dr
 import drjit.nn as nn
@@ -24,40 +24,17 @@ def pack(tensors: Tensors, half: bool = False) -> Views:
     return {name: (views[2 * i], views[2 * i + 1]) for i, name in enumerate(tensors)}
 
 
-class Engine(Protocol):
-    """A way to run layers. The type of the values between layers is the engine's own."""
-
-    def enter(self, *parts: Any) -> Any:
-        """Joins parts, lists of arrays or values of the engine, into a layer's input."""
-        ...
-
-    def linear(self, name: str, x: Any) -> Any:
-        """Applies an affine layer."""
-        ...
-
-    def relu(self, x: Any) -> Any:
-        """max(x, 0)."""
-        ...
-
-    def rows(self, x: Any) -> list[mi.Float]:
-        """A layer's outputs as arrays."""
-        ...
-
-    def head(self, x: Any) -> tuple[mi.Float, Any]:
-        """The first output as an array, and the others as a value of the engine."""
-        ...
-
-
 class Batched:
-    """Tensors of shape (features, N)."""
+    """Tensors of shape (features, N) between layers."""
 
     def __init__(self, tensors: Tensors, width: int) -> None:
         self._tensors = tensors
         self._width = width
 
     def enter(self, *parts: Any) -> mi.TensorXf:
-        """Joins rows, with a row of ones below them. A layer's bias then is a column of its matrix, which
-        costs the product next to nothing; adding it to every row afterwards costs more than the product."""
+        """Joins parts, lists of arrays or outputs of layers, into a layer's input, with a row of ones below
+        them. A layer's bias then is a column of its matrix, which costs the product next to nothing; adding
+        it to every row afterwards costs more than the product."""
         parts = (*parts, [dr.full(mi.Float, 1.0, self._width)])
         arrays: list[Any] = []
         rows = 0
@@ -73,19 +50,19 @@ class Batched:
         return mi.TensorXf(arrays[0] if len(arrays) == 1 else dr.concat(arrays), (rows, self._width))
 
     def linear(self, name: str, x: mi.TensorXf) -> mi.TensorXf:
+        """Applies an affine layer."""
         weight, bias = self._tensors[name]
         if x.shape[0] > weight.shape[1]:
             return dr.concat([weight, bias], axis=1) @ x
         return weight @ x + bias
 
-    def relu(self, x: mi.TensorXf) -> mi.TensorXf:
-        return dr.maximum(x, 0)
-
     def rows(self, x: mi.TensorXf) -> list[mi.Float]:
+        """A layer's outputs as arrays."""
         index = dr.arange(mi.UInt32, self._width)
         return [dr.gather(mi.Float, x.array, index + row * self._width) for row in range(x.shape[0])]
 
     def head(self, x: mi.TensorXf) -> tuple[mi.Float, mi.TensorXf]:
+        """The first output as an array, and the others as an input of layers."""
         index = dr.arange(mi.UInt32, self._width)
         rest = dr.arange(mi.UInt32, (x.shape[0] - 1) * self._width) + self._width
         return (dr.gather(mi.Float, x.array, index),
@@ -93,7 +70,8 @@ class Batched:
 
 
 class Fused:
-    """Layers as cooperative vectors; traceable in symbolic code."""
+    """Cooperative vectors between layers, with the methods of :class:`Batched`; traceable in symbolic
+    code."""
 
     def __init__(self, views: Views) -> None:
         self._views = views
@@ -105,9 +83,6 @@ class Fused:
     def linear(self, name: str, x: Any) -> Any:
         weight, bias = self._views[name]
         return nn.matvec(weight, x, bias)
-
-    def relu(self, x: Any) -> Any:
-        return dr.maximum(x, 0)
 
     def rows(self, x: Any) -> list[mi.Float]:
         return [mi.Float(entry) for entry in x]

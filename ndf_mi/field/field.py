@@ -15,7 +15,7 @@ import numpy as np
 from ndf_mi import variants
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.field.encoding import GridEncoding, frequency
-from ndf_mi.field.engines import Batched, Engine, Fused, HalfFused, Views, pack
+from ndf_mi.field.engines import Batched, Fused, HalfFused, Views, pack
 from ndf_mi.field.layers import initial_weights, layout
 from ndf_mi.field.parameters import FieldParameters, matrices, products
 from ndf_mi.field.presets import Preset
@@ -183,7 +183,7 @@ class BoundField:
         return dr.grad_enabled(list(self._tensors.values()), self._grid)
 
     def _evaluate(
-        self, run: Engine, u: Sequence[mi.Float], d: mi.Vector3f, n: mi.Normal3f,
+        self, run: Batched | Fused, u: Sequence[mi.Float], d: mi.Vector3f, n: mi.Normal3f,
         active: mi.Bool | bool = True,
     ) -> tuple[mi.Float, mi.Color3f]:
         p = self.preset
@@ -199,7 +199,7 @@ class BoundField:
         for i in range(len(p.density_layers)):
             if p.density_skip > 0 and i == p.density_skip:
                 h = run.enter(encoded, h)
-            h = run.relu(run.linear(f"density{i}", h))
+            h = dr.maximum(run.linear(f"density{i}", h), 0)
         out = run.linear("density_out", h)
         if p.feature_width:
             head, h = run.head(out)
@@ -231,8 +231,8 @@ class BoundField:
         return srgb_to_linear(dr.fma(dr.tanh(0.5 * c), 0.5, 0.5))
 
 
-def _hidden(run: Engine, name: str, count: int, h: Any) -> Any:
+def _hidden(run: Batched | Fused, name: str, count: int, h: Any) -> Any:
     """Applies hidden layers ``name0``, ``name1``, …"""
     for i in range(count):
-        h = run.relu(run.linear(f"{name}{i}", h))
+        h = dr.maximum(run.linear(f"{name}{i}", h), 0)
     return h

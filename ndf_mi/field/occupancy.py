@@ -58,11 +58,6 @@ class Occupancy:
             dr.eval(self.values)
         self._salt += 1
 
-    @property
-    def share(self) -> float:
-        """Share of the cells that are occupied."""
-        return float(dr.mean(dr.select(self.values > self._threshold, mi.Float(1), mi.Float(0)))[0])
-
     def restore(self, values: np.ndarray, step: int) -> None:
         """Sets the cells' values and the steps observed; ValueError if the number of values is wrong."""
         if values.shape != (int(np.prod(self._resolution)),):

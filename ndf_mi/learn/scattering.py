@@ -19,8 +19,8 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering_scene import ScatteringScene, expect_outside
 from ndf_mi.learn.step import QuadratureStep, Statistics, statistics
 from ndf_mi.model import PosedModel
-from ndf_mi.render.lights import lights
 from ndf_mi.render.replay import Replay, repeated
+from ndf_mi.render.scene import lights
 from ndf_mi.run import QUADRATURE, Run
 
 SCATTERING = ("prbvolpath",)

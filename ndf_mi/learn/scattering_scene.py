@@ -15,7 +15,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.mitsuba_mesh import make_mesh, set_faces, set_vertices
 from ndf_mi.model import PosedModel
 from ndf_mi.projection import PosedSurface
-from ndf_mi.render.bake import Baked, bake
+from ndf_mi.render.bake import NodeSamples, bake
 from ndf_mi.render.shell import band_shell
 from ndf_mi.run import Run
 
@@ -65,7 +65,7 @@ class ScatteringScene:
         self._parameters = mi.traverse(self.scene)
         self._frame: int | None = None
 
-    def place(self, posed: PosedModel, frame: int, shift: np.ndarray) -> tuple[Baked, mi.Float]:
+    def place(self, posed: PosedModel, frame: int, shift: np.ndarray) -> tuple[NodeSamples, mi.Float]:
         """Evaluates a field on the grid and moves the shell around it.
 
         Args:
@@ -78,17 +78,17 @@ class ScatteringScene:
         """
         low = mi.Point3f(*(float(v) for v in self._lows[frame] + self._cell * shift))
         dr.make_opaque(low)
-        baked = bake(posed, low, self._cell, self._shape)
-        nodes = mi.Float(baked.nodes)
+        samples, nodes, densest = bake(posed, low, self._cell, self._shape)
+        nodes = mi.Float(nodes)
         dr.enable_grad(nodes)
-        self._medium.fill(nodes, low, baked.densest)
+        self._medium.fill(nodes, low, densest)
         if frame != self._frame:
             vertices, faces = self._shells[frame]
             set_vertices(self._parameters, vertices, "performer")
             set_faces(self._parameters, faces, "performer")
             self._parameters.update()
             self._frame = frame
-        return baked, nodes
+        return samples, nodes
 
 
 def expect_outside(run: Run, camera: Camera, frame: int, cell: float = SHELL_CELL) -> None:

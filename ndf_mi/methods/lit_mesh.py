@@ -19,7 +19,7 @@ from ndf_mi.methods.lit import noise_psnr
 from ndf_mi.methods.lit_surface import LitSurface, ReflectanceFit
 from ndf_mi.methods.mesh import RENDER_SPP
 from ndf_mi.methods.mesh_record import MeshRecord, read_mesh, record_of, tensors_of, write_mesh
-from ndf_mi.render.lights import lights as lights_of
+from ndf_mi.render.scene import lights as lights_of
 from ndf_mi.surface.texture_fit import fit_texture
 
 

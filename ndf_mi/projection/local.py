@@ -90,10 +90,10 @@ def closest_on_triangle(x: mi.Point3f, v0: mi.Point3f, v1: mi.Point3f, v2: mi.Po
 
 
 def _clipped(along: mi.Float, length2: mi.Float) -> mi.Float:
-    return dr.select(length2 > 1e-30, dr.clip(along / dr.select(length2 > 1e-30, length2, 1), 0, 1), 0)
+    return dr.select(length2 > 1e-30, dr.clip(along / _guarded(length2, 1e-30), 0, 1), 0)
 
 
 def unit(v: mi.Vector3f, otherwise: mi.Vector3f) -> mi.Vector3f:
     """``v`` over its length, or ``otherwise`` where it has none."""
     square = dr.squared_norm(v)
-    return dr.select(square > 1e-30, v * dr.rsqrt(dr.select(square > 1e-30, square, 1)), otherwise)
+    return dr.select(square > 1e-30, v * dr.rsqrt(_guarded(square, 1e-30)), otherwise)

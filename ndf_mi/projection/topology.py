@@ -31,11 +31,6 @@ class Tree:
     triangles: np.ndarray
     occupied: np.ndarray
 
-    @property
-    def leaves(self) -> int:
-        """Number of leaves."""
-        return 1 << self.depth
-
 
 def pair_triangles(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Joins triangles across shared edges, the edge that is longest for its two triangles first.

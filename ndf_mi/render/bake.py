@@ -31,34 +31,16 @@ class NodeSamples:
         with dr.suspend_grad():
             nodes = dr.zeros(mi.Float, 4 * count)
             for channel, value in enumerate(self.values):
-                dr.scatter(
-                    nodes, dr.detach(value), 4 * self.index + channel, self.real, mode=dr.ReduceMode.Permute
-                )
+                index = 4 * self.index + channel
+                dr.scatter(nodes, dr.detach(value), index, self.real, mode=dr.ReduceMode.Permute)
             return nodes
-
-
-@dataclass
-class Baked:
-    """A field at all nodes of a grid.
-
-    Attributes:
-        samples: the nodes that lie in the field, attached to its parameters.
-        nodes: flat (nz, ny, nx, 4): σ_t and σ_s in 1/m, detached, zero at all other nodes.
-        densest: the largest σ_t, one number.
-    """
-
-    samples: NodeSamples
-    nodes: mi.Float
-    densest: mi.Float
 
     def vjp(self, adjoint: mi.Float) -> mi.Float:
         """Σ adjoint · nodes, attached: its derivatives in the field's parameters are the vector-Jacobian
-        product of `adjoint`, the derivatives of some function in `nodes`."""
-        samples, total = self.samples, mi.Float(0.0)
-        for channel, value in enumerate(samples.values):
-            total = total + dr.sum(
-                value * dr.gather(mi.Float, adjoint, 4 * samples.index + channel, samples.real)
-            )
+        product of `adjoint`, the derivatives of some function in the values of all nodes."""
+        total = mi.Float(0.0)
+        for channel, value in enumerate(self.values):
+            total = total + dr.sum(value * dr.gather(mi.Float, adjoint, 4 * self.index + channel, self.real))
         return total
 
 
@@ -73,9 +55,8 @@ def sample_nodes(
         candidates: whether each node may lie in the field, one lane a node.
     """
     with dr.suspend_grad():
-        chosen, real, _ = compact(
-            candidates & volume.may_contain(at(dr.arange(mi.UInt32, dr.width(candidates))))
-        )
+        every = dr.arange(mi.UInt32, dr.width(candidates))
+        chosen, real, _ = compact(candidates & volume.may_contain(at(every)))
         located = volume.locate(at(chosen), real)
         located.valid &= real
         dr.eval(located)
@@ -87,7 +68,9 @@ def sample_nodes(
     return NodeSamples(index, real, (sample.sigma, *(sample.sigma * channel for channel in sample.colour)))
 
 
-def bake(volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, int, int]) -> Baked:
+def bake(
+    volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, int, int]
+) -> tuple[NodeSamples, mi.Float, mi.Float]:
     """Evaluates `volume` at the inner nodes of a grid; the outermost stay empty. Colours must not depend on
     the view direction.
 
@@ -95,6 +78,9 @@ def bake(volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, in
         low: position of the first node.
         cell: distance from one node to the next, metres.
         shape: nodes along x, y and z.
+
+    Returns:
+        the samples; all nodes, flat (nz, ny, nx, 4): σ_t and σ_s in 1/m, detached; and the largest σ_t.
     """
     nx, ny, nz = shape
 
@@ -113,4 +99,4 @@ def bake(volume: VolumeField, low: mi.Point3f, cell: float, shape: tuple[int, in
     nodes = samples.spread(nx * ny * nz)
     densest = dr.max(dr.select(samples.real, dr.detach(samples.values[0]), 0.0))
     dr.eval(nodes, densest)
-    return Baked(samples, nodes, densest)
+    return samples, nodes, densest

@@ -19,10 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from ndf_mi.render.image import Work
 from ndf_mi.render.ray_statistics import RayStatistics
 from ndf_mi.render.settings import Setting
-
-_MILLION = 1e6
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ class CostModel:
 
     def __init__(self, samples: Sequence[Sample]) -> None:
         self.cutoffs = sorted({s.cutoff for s in samples if s.error is not None})
-        rows = np.array([_row(s.tiles, s.lanes, s.evaluated, s.launched) for s in samples])
+        rows = np.array([_row(s) for s in samples])
         seconds = np.array([s.seconds for s in samples])
         # Rows are divided by their times, so that relative errors are minimised.
         self.coefficients, _ = nnls(rows / seconds[:, None], np.ones(len(samples)))
@@ -69,8 +68,7 @@ class CostModel:
 
     def seconds(self, setting: Setting, statistics: RayStatistics) -> float:
         """Predicted time of an image of a view."""
-        counts = statistics.counts(setting)
-        row = _row(counts.tiles, counts.lanes, counts.evaluated, counts.launched)
+        row = _row(statistics.counts(setting))
         return float(self.coefficients[0] + setting.spp * self.coefficients[1:] @ row[1:])
 
     def error(self, setting: Setting) -> float:
@@ -88,8 +86,8 @@ class CostModel:
         return bool(math.log(setting.samples) > self._errors[setting.cutoff][0][-1] + 1e-9)
 
 
-def _row(tiles: float, lanes: float, evaluated: float, launched: float) -> np.ndarray:
-    return np.array([1.0, tiles, lanes / _MILLION, evaluated / _MILLION, launched / _MILLION])
+def _row(work: Sample | Work) -> np.ndarray:
+    return np.array([1.0, work.tiles, work.lanes / 1e6, work.evaluated / 1e6, work.launched / 1e6])
 
 
 def _log_errors(samples: Sequence[Sample]) -> tuple[np.ndarray, np.ndarray]:

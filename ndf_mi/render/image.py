@@ -46,7 +46,7 @@ class RaySource(Protocol):
 
 @dataclass
 class Work:
-    """The work for an image, in numbers that do not depend on the machine.
+    """The work for an image, counted or estimated, in numbers that do not depend on the machine.
 
     Attributes:
         rays: rays that met the field's box.
@@ -61,8 +61,8 @@ class Work:
     tiles: int = 0
     lanes: int = 0
     candidates: int = 0
-    evaluated: int = 0
-    launched: int = 0
+    evaluated: float = 0
+    launched: float = 0
 
 
 @dataclass

@@ -41,10 +41,6 @@ class Layers:
     levels: tuple[float, ...]
     shells: list[tuple[np.ndarray, np.ndarray]] = field(repr=False)
 
-    def majorants(self, estimate: Bounds) -> list[float]:
-        """The layers' majorants in 1/m, from estimates on this grid or on another of the same spacing."""
-        return layer_majorants(self.grid, self.rank, estimate)
-
     def locate(self, points: np.ndarray) -> np.ndarray:
         """(N,) int64 layers of points (N, 3). Next to a shell it is the outer of the two possible layers; −1
         where a point may be outside all shells."""
@@ -109,7 +105,7 @@ def best_levels(estimate: Bounds, count: int) -> tuple[float, ...]:
 
 def layer_majorants(grid: Grid, rank: np.ndarray, estimate: Bounds) -> list[float]:
     """For each layer the largest estimate in 1/m of the cells that it reaches into; at least
-    :data:`FLOOR`."""
+    :data:`FLOOR`. The estimates may be on another grid of the same spacing."""
     upper = _on(grid, estimate)
     lowest, highest = corner_ranks(rank)
     return [
@@ -175,7 +171,7 @@ class Majorants:
         self._settle(posed, bounds(posed, self._preset, self._sampled, self._margin))
 
     def _settle(self, posed: BoundedField, estimate: Bounds) -> None:
-        values = np.array(self.layers.majorants(estimate))
+        values = np.array(layer_majorants(self.layers.grid, self.layers.rank, estimate))
         points = random_points(estimate.grid, estimate.band, CHECKED, self._checks)
         self._checks += 1
         sigma, layer = densities(posed, points), self.layers.locate(points)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from functools import cache
 from typing import Any, Protocol, runtime_checkable
 
 import mitsuba as mi
@@ -10,9 +11,17 @@ import numpy as np
 
 from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel
-from ndf_mi.render.colours import warn_if_misread
 from ndf_mi.render.transport import Performer
 from ndf_mi.run import Run
+
+_TAKEN_FOR_ALBEDO = (
+    "its colours hold the light of its capture, and the scene's lights are added to it. Use `ndf_path` or "
+    "`ndf_quadrature`, or train with --integrator prbvolpath"
+)
+_TAKEN_FOR_LIGHT = (
+    "its colours are albedos, trained through scattering, and are shown as if they were light. Use "
+    "`volpath` and lights, or `ndf-mi relight`"
+)
 
 
 class NeuralField(Protocol):
@@ -91,9 +100,25 @@ def performers(scene: mi.Scene, integrator: str) -> list[Performer]:
 
 
 def emitting(field: NeuralField) -> Performer:
-    """A field to be shown by emission and absorption; logs a warning where its colours are albedos."""
-    warn_if_misread(field.run, scattering=False)
+    """A field to be shown by emission and absorption; logs a warning where its colours are albedos, once a
+    run and process."""
+    reason = misread(field.run, scattering=False)
+    if reason is not None:
+        _warn(os.path.realpath(field.run.path), f"{field.run.path}: {reason}.")
     return Performer(field.posed(), field.scale)
+
+
+def misread(run: Run, scattering: bool) -> str | None:
+    """Why a run's colours should not be shown as albedos, if `scattering`, or as light; None where they can
+    be, or where the run does not record how it was trained."""
+    if run.colours == ("light" if scattering else "albedo"):
+        return _TAKEN_FOR_ALBEDO if scattering else _TAKEN_FOR_LIGHT
+    return None
+
+
+@cache
+def _warn(run: str, text: str) -> None:
+    mi.Log(mi.LogLevel.Warn, text)
 
 
 def lets_light_in(bsdf: mi.BSDF) -> bool:

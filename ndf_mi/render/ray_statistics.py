@@ -11,6 +11,7 @@ import numpy as np
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.numerics import block_sum
+from ndf_mi.render.image import Work
 from ndf_mi.render.ray_samples import VolumeField, sample_rays
 from ndf_mi.render.sampling import QUANTUM, box_interval, rounded
 from ndf_mi.render.settings import Setting
@@ -23,16 +24,6 @@ SAMPLES, SHRINK = 64, 4
 #: Relative errors of the number of samples evaluated at once. Arrays grow by half at a time, so a few more
 #: samples can take half as many lanes again: the expected number of lanes is a mean over these.
 _RELATIVE_ERRORS = (0.97, 1.0, 1.03)
-
-
-@dataclass(frozen=True)
-class Counts:
-    """The work of an image with one ray per pixel, as :class:`ndf_mi.render.image.Work` counts it."""
-
-    tiles: int
-    lanes: int
-    evaluated: float
-    launched: float
 
 
 @dataclass(frozen=True)
@@ -52,8 +43,9 @@ class RayStatistics:
     evaluated: np.ndarray
     before: np.ndarray
 
-    def counts(self, setting: Setting) -> Counts:
-        """Counts of an image with one ray per pixel. Opaque rays drop out of later rounds, as in rendering.
+    def counts(self, setting: Setting) -> Work:
+        """The work of an image with one ray per pixel; candidates are not counted. Opaque rays drop out of
+        later rounds, as in rendering.
 
         Raises:
             ValueError: the setting does not render rays in `ROUNDS` rounds.
@@ -62,7 +54,7 @@ class RayStatistics:
         if rounds != ROUNDS:
             raise ValueError(f"{setting.samples} samples are rendered in {rounds} rounds, not in {ROUNDS}")
         candidates = count * self.sample_factor
-        tiles, evaluated, launched = 0, 0.0, 0.0
+        work = Work(rays=self.rays)
         for evaluated_fraction, before in zip(self.evaluated, self.before, strict=True):
             # `before` is 1 in the first round, so no ray drops out there.
             alive = before > setting.cutoff if setting.cutoff > 0 else np.ones(len(before), dtype=bool)
@@ -72,20 +64,16 @@ class RayStatistics:
             # A tile is a run of consecutive live rays: differences of the cumulative sum give the samples of
             # each.
             ends = np.minimum(np.arange(math.ceil(rays / tile) + 1) * tile / rays, 1.0)
-            cumulative = (
-                np.concatenate([[0.0], np.cumsum(evaluated_fraction[alive])]) / alive.sum() * rays
-                * candidates)
+            fractions = np.concatenate([[0.0], np.cumsum(evaluated_fraction[alive])])
+            cumulative = fractions / alive.sum() * rays * candidates
             per_tile = np.diff(np.interp(ends, np.linspace(0, 1, len(cumulative)), cumulative))
-            tiles += len(per_tile)
-            evaluated += float(per_tile.sum())
-            launched += float(
-                np.mean(
-                    [
-                        sum(rounded(math.ceil(factor * samples), QUANTUM) for samples in per_tile)
+            work.tiles += len(per_tile)
+            work.evaluated += float(per_tile.sum())
+            launched = [sum(rounded(math.ceil(factor * samples), QUANTUM) for samples in per_tile)
                         for factor in _RELATIVE_ERRORS]
-                )
-            )
-        return Counts(tiles, tiles * tile * candidates, evaluated, launched)
+            work.launched += float(np.mean(launched))
+        work.lanes = work.tiles * tile * candidates
+        return work
 
 
 def probe(volume: VolumeField, camera: Camera) -> RayStatistics:

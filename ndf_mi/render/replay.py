@@ -32,16 +32,7 @@ class Replay:
         """(N) linear radiance, detached, of one path along each of N rays; independent for different
         seeds."""
         with dr.suspend_grad():
-            found, valid, *_ = self._integrator.sample(
-                mode=dr.ADMode.Primal,
-                scene=self._scene,
-                sampler=self._seeded(ray, seed),
-                ray=ray,
-                depth=mi.UInt32(0),
-                δL=None,
-                state_in=None,
-                active=mi.Bool(True),
-            )
+            found, valid, *_ = self._sample(dr.ADMode.Primal, ray, seed, None, None)
             radiance = dr.select(valid, mi.Color3f(found), self._background)
             dr.eval(radiance)
         return radiance
@@ -55,20 +46,13 @@ class Replay:
             adjoint: (N), detached.
         """
         with dr.suspend_grad():
-            self._integrator.sample(
-                mode=dr.ADMode.Backward,
-                scene=self._scene,
-                sampler=self._seeded(ray, seed),
-                ray=ray,
-                depth=mi.UInt32(0),
-                δL=mi.Spectrum(adjoint),
-                state_in=mi.Spectrum(radiance),
-                active=mi.Bool(True),
-            )
+            self._sample(dr.ADMode.Backward, ray, seed, mi.Spectrum(adjoint), mi.Spectrum(radiance))
 
-    def _seeded(self, ray: mi.Ray3f, seed: int) -> mi.Sampler:
+    def _sample(self, mode: dr.ADMode, ray: mi.Ray3f, seed: int, δL: Any, state_in: Any) -> Any:
         self._sampler.seed(dr.opaque(mi.UInt32, seed), dr.width(ray.d))
-        return self._sampler
+        return self._integrator.sample(
+            mode=mode, scene=self._scene, sampler=self._sampler, ray=ray, depth=mi.UInt32(0), δL=δL,
+            state_in=state_in, active=mi.Bool(True))
 
 
 def repeated(ray: mi.Ray3f, count: int) -> mi.Ray3f:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 import mitsuba as mi
 
@@ -56,6 +58,11 @@ def pad(chosen: mi.UInt32, count: int, size: int, first: int = 0) -> tuple[mi.UI
     index = dr.gather(mi.UInt32, chosen, lane + dr.opaque(mi.UInt32, first), real)
     dr.eval(index, real)
     return index, real
+
+
+def join(parts: Sequence[mi.Float]) -> mi.Float:
+    """The parts one after the other; a single one is not copied."""
+    return parts[0] if len(parts) == 1 else dr.concat(parts)
 
 
 def rounded(count: int, unit: int) -> int:

@@ -1,8 +1,10 @@
-"""Loads a scene's XML and renders it; Mitsuba's exceptions become InputErrors."""
+"""Loads scenes, renders them and takes their lights; Mitsuba's exceptions become InputErrors."""
 
 from __future__ import annotations
 
 import os
+from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -20,11 +22,31 @@ def load_scene(path: str | os.PathLike[str], parameters: dict[str, str]) -> mi.S
     try:
         scene = mi.load_file(str(path), **parameters)
     except (RuntimeError, ValueError, TypeError) as error:
-        raise InputError(path, "a scene that cannot be loaded: "
-                               f"{_plainly(error)}", "a scene that Mitsuba loads") from None
+        found = f"a scene that cannot be loaded: {_plainly(error)}"
+        raise InputError(path, found, "a scene that Mitsuba loads") from None
     if not isinstance(scene, mi.Scene):
         raise InputError(path, f"a {type(scene).__name__}", "a scene")
     return scene
+
+
+def lights(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """The emitters and shapes of a scene's file as entries for another scene's dictionary, without its
+    sensors and integrator.
+
+    Raises:
+        InputError: the scene is missing, cannot be loaded or holds no emitter.
+    """
+    if not Path(path).is_file():
+        raise InputError(path, "no such file", "the Mitsuba scene of a light")
+    scene = load_scene(path, {})
+    if not scene.emitters():
+        raise InputError(path, "a scene without an emitter", "at least one emitter")
+    shapes = list(scene.shapes())
+    # Shapes bring their own emitters.
+    of_shapes = [shape.emitter() for shape in shapes if shape.is_emitter()]
+    free = [emitter for emitter in scene.emitters() if not any(emitter is other for other in of_shapes)]
+    return {f"light_{i}": value for i, value in enumerate(free)} | {
+        f"around_{i}": value for i, value in enumerate(shapes)}
 
 
 def render_scene(
@@ -59,8 +81,8 @@ def render_scene(
             if isinstance(cause, InputError):
                 raise cause from None
             cause = cause.__cause__
-        raise InputError("scene", "one that its integrator cannot render: "
-                                  f"{_plainly(error)}", "another integrator or scene") from None
+        found = f"one that its integrator cannot render: {_plainly(error)}"
+        raise InputError("scene", found, "another integrator or scene") from None
     bitmap = sensors[sensor].film().bitmap(raw=False)
     array = np.array(bitmap, dtype=np.float32)
     broken = np.count_nonzero(~np.isfinite(array).all(-1))
@@ -68,13 +90,8 @@ def render_scene(
         raise InputError("scene", f"NaN or infinity in {broken} pixels", "a finite picture",
                          "A performer gives them where networks run in half precision, as on GPUs, and "
                          "hidden values exceed 65,504.")
-    names = [field.name for field in bitmap.struct_()]
-    channels = {name: array[..., i] for i, name in enumerate(names)}
-    colour = (
-        np.stack([channels[n] for n in "RGB"], axis=-1)
-        if "R" in channels
-        else np.repeat(array[..., :1], 3, axis=-1)
-    )
+    channels = {field.name: array[..., i] for i, field in enumerate(bitmap.struct_())}
+    colour = np.stack([channels[name] for name in "RGB"], -1) if "R" in channels else array[..., [0, 0, 0]]
     return channels, np.clip(linear_to_srgb(np.maximum(colour, 0)), 0, 1)
 
 
@@ -82,7 +99,5 @@ def _plainly(error: BaseException) -> str:
     """The message of a Mitsuba exception without Python frames; the plugin's own message if there is one."""
     text = str(error)
     own = text.rpartition("InputError: ")[2] if "InputError: " in text else text
-    lines = [line.strip() for line in own.splitlines()]
-    return " ".join(
-        line for line in lines if line and not line.startswith(("File ", "Traceback", "At:", "^"))
-    )
+    lines = (line.strip() for line in own.splitlines())
+    return " ".join(line for line in lines if line and not line.startswith(("File ", "Traceback", "At:", "^")))

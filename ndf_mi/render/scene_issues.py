@@ -11,8 +11,7 @@ import numpy as np
 import trimesh
 
 from ndf_mi.mitsuba_mesh import triangles
-from ndf_mi.render.colours import misread
-from ndf_mi.render.performers import FieldMedium, lets_light_in
+from ndf_mi.render.performers import FieldMedium, lets_light_in, misread
 from ndf_mi.render.shell import band_points
 
 BLIND = (

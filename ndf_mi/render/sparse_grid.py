@@ -18,6 +18,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field.sample import FieldSample, Located
 from ndf_mi.projection import PosedSurface, Surface
 from ndf_mi.render.bake import sample_nodes
+from ndf_mi.render.majorant import FLOOR
 from ndf_mi.render.ray_samples import VolumeField
 
 SIDE = 8
@@ -34,9 +35,8 @@ LARGEST = 1 << 28
 _NODES = (SIDE + 1) ** 3
 _CHUNK = 256
 """Blocks evaluated at once. The last chunk is filled up, as its size is compiled into kernels."""
-_MARGIN = 1.05
-_FLOOR = 0.05
-"""Smallest majorant in 1/m: free flights divide by it."""
+MARGIN = 1.05
+"""Factor from the density at the densest node to the majorant."""
 
 
 class SparseGrid:
@@ -71,24 +71,22 @@ class SparseGrid:
         self.bbox = volume.bbox
         self._shape = tuple(int(n) for n in np.ceil((high - low) / (SIDE * cell)))
         if np.prod(self._shape, dtype=np.float64) > LARGEST:
-            raise InputError(
-                "grid_spacing", f"{cell:g} m", "a larger spacing: the grid would not fit into memory"
-            )
+            expected = "a larger spacing: the grid would not fit into memory"
+            raise InputError("grid_spacing", f"{cell:g} m", expected)
         self._low = mi.Point3f(*low.tolist())
         dr.make_opaque(self._low)
         with dr.suspend_grad():
             candidates = self._candidates(surface, vertices, reach)
             if 4 * _NODES * len(candidates) > LARGEST:
                 fitting = cell * (4 * _NODES * len(candidates) / LARGEST) ** (1 / 3)
-                raise InputError("grid_spacing", f"{cell:g} m, which takes "
-                                                 f"{16e-9 * _NODES * len(candidates):.2g} GB",
-                                 f"a GiB at most: about {fitting:.2g} m")
+                found = f"{cell:g} m, which takes {16e-9 * _NODES * len(candidates):.2g} GB"
+                raise InputError("grid_spacing", found, f"a GiB at most: about {fitting:.2g} m")
             kept, values = self._filled(volume, candidates)
         table = np.zeros(int(np.prod(self._shape)), np.uint32)
         table[kept] = 1 + np.arange(len(kept))
         self.blocks = len(kept)
         self._table, self._nodes = mi.UInt32(table), mi.Float(values)
-        self.majorant = max(float(values[::4].max()) * _MARGIN, _FLOOR)
+        self.majorant = max(float(values[::4].max()) * MARGIN, FLOOR)
 
     def may_contain(self, x: mi.Point3f) -> mi.Bool:
         """True: a lookup costs no more than a test."""
@@ -125,10 +123,8 @@ class SparseGrid:
             weight = mi.Float(1.0)
             for step, along in zip((i, j, k), part, strict=True):
                 weight *= along if step else 1.0 - along
-            node = dr.gather(
-                mi.Vector4f, self._nodes, first + ((k * (SIDE + 1) + j) * (SIDE + 1) + i), active
-            )
-            total += weight * node
+            node = first + ((k * (SIDE + 1) + j) * (SIDE + 1) + i)
+            total += weight * dr.gather(mi.Vector4f, self._nodes, node, active)
         albedo = mi.Color3f(total.y, total.z, total.w) / dr.maximum(total.x, 1e-30)
         return FieldSample(total.x, albedo, dr.zeros(mi.Point3f), dr.zeros(mi.Normal3f))
 
@@ -155,17 +151,12 @@ class SparseGrid:
             def at(index: mi.UInt32, blocks: mi.UInt32 = blocks) -> mi.Point3f:
                 corner = SIDE * self._place(dr.gather(mi.UInt32, blocks, index // _NODES))
                 node = index % _NODES
-                return self._low + self.cell * (
-                    corner + mi.Point3f(node % side, node // side % side, node // side**2)
-                )
+                local = mi.Point3f(node % side, node // side % side, node // side**2)
+                return self._low + self.cell * (corner + local)
 
             used = dr.arange(mi.UInt32, _CHUNK * _NODES) < dr.opaque(mi.UInt32, len(some) * _NODES)
-            values = (
-                sample_nodes(volume, at, used)
-                .spread(_CHUNK * _NODES)
-                .numpy()
-                .reshape(_CHUNK, -1)[: len(some)]
-            )
+            values = sample_nodes(volume, at, used).spread(_CHUNK * _NODES).numpy()
+            values = values.reshape(_CHUNK, -1)[: len(some)]
             dense = values[:, ::4].max(1) >= LEAST
             kept.append(some[dense])
             parts.append(values[dense])

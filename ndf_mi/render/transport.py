@@ -19,7 +19,7 @@ import mitsuba as mi
 
 from ndf_mi.numerics import block_sum, expm1, sum_before
 from ndf_mi.render.ray_samples import Stratified, VolumeField, sample_rays, scatter
-from ndf_mi.render.sampling import box_interval, pad, rounded
+from ndf_mi.render.sampling import box_interval, join, pad, rounded
 
 TILE = 4096
 """Largest number of rays integrated at once. It bounds the candidates' memory, at about 50 bytes each."""
@@ -124,9 +124,9 @@ class Transport:
         with dr.suspend_grad():
             active = mi.Bool(active) & dr.full(mi.Bool, True, width)
             crossed = [box_interval(performer.volume.bbox, ray)[0] & active for performer in performers]
-            number = sum(
-                (dr.select(hit, mi.UInt32(1), 0) for hit in crossed), start=dr.zeros(mi.UInt32, width)
-            )
+            number = dr.zeros(mi.UInt32, width)
+            for hit in crossed:
+                number += dr.select(hit, mi.UInt32(1), 0)
             # Most rays cross one box. Only those that cross several pay for all fields.
             groups = [
                 ([performer], hit & (number == 1)) for performer, hit in zip(performers, crossed, strict=True)
@@ -145,14 +145,10 @@ class Transport:
                 reals.append(real)
                 rows.append(self._tile(group, ray, index, real, jitter))
         if not rows:
-            return Crossing(
-                mi.Color3f(dr.zeros(mi.Float, width)), dr.full(mi.Float, 1.0, width),
-                dr.zeros(mi.Float, width),
-            )
-        index, real = _join(indices), _join(reals)
-        tau, depth, *colour = [
-            scatter(_join(list(row)), index, real, width) for row in zip(*rows, strict=True)
-        ]
+            zero = dr.zeros(mi.Float, width)
+            return Crossing(mi.Color3f(zero), dr.full(mi.Float, 1.0, width), zero)
+        index, real = join(indices), join(reals)
+        tau, depth, *colour = [scatter(join(row), index, real, width) for row in zip(*rows, strict=True)]
         return Crossing(mi.Color3f(*colour), dr.exp(-tau), depth)
 
     def _tile(
@@ -215,8 +211,4 @@ def _weights(one: _Medium, others: list[_Medium]) -> mi.Float:
     safe = dr.select(small, 1.0, total)
     series = one.tau * dr.fma(total, dr.fma(total, 1 / 6, -0.5), 1.0)
     return dr.exp(-ahead) * dr.select(small, series, -expm1(-safe) * (one.tau / safe))
-
-
-def _join(parts: list[mi.Float]) -> mi.Float:
-    return parts[0] if len(parts) == 1 else dr.concat(parts)
 

@@ -10,7 +10,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.learn.scattering_scene import expect_outside
 from ndf_mi.methods.base import Light
 from ndf_mi.methods.lit_field import LitField
-from ndf_mi.render.lights import lights
+from ndf_mi.render.scene import lights
 
 DARK = Light("dark", {})
 

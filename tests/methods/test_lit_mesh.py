@@ -14,7 +14,7 @@ from ndf_mi.experiments import metrics
 from ndf_mi.methods.base import Budget, Light
 from ndf_mi.methods.lit_mesh import LitMesh, RelightableMesh
 from ndf_mi.methods.lit_surface import LitSurface, ReflectanceFit
-from ndf_mi.render.lights import lights
+from ndf_mi.render.scene import lights
 from ndf_mi.surface.schedule import Schedule, train_steps
 
 

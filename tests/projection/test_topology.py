@@ -24,6 +24,6 @@ def test_pairs_hold_each_triangle_once(mesh: trimesh.Trimesh) -> None:
 def test_tree_is_complete_and_holds_each_pair_once(count: int) -> None:
     rng = np.random.default_rng(count)
     tree = build_tree(rng.normal(size=(3 * count, 3)), np.arange(3 * count).reshape(-1, 3))
-    assert tree.depth >= 1 and tree.leaves == len(tree.corners) == len(tree.triangles) < 4 * max(count, 1)
+    assert tree.depth >= 1 and 2**tree.depth == len(tree.corners) == len(tree.triangles) < 4 * max(count, 1)
     np.testing.assert_array_equal(np.sort(tree.triangles[tree.occupied, 0]), np.arange(count))
     assert tree.triangles.max() < count

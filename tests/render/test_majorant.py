@@ -147,7 +147,7 @@ def test_shells_are_closed_and_strictly_one_within_the_other(ridge):
     sampled = distances(run.model.surface, flat(run), preset.band, CELL)
     estimate = bounds(run.posed(0), preset, sampled)
     layers = cut_layers(estimate, sampled, preset.band, preset.band_inside, (2.0, 20.0, 60.0))
-    majorants = layers.majorants(estimate)
+    majorants = layer_majorants(layers.grid, layers.rank, estimate)
     assert len(layers.shells) == len(majorants) == 4 and majorants == sorted(majorants)
     for vertices, faces in layers.shells:
         mesh = trimesh.Trimesh(vertices, faces, process=False)

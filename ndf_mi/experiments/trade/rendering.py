@@ -18,7 +18,7 @@ from ndf_mi.experiments.trade.paths import CONVERGED_SPP, PathTracer
 from ndf_mi.experiments.trade.points import PathSetting, Point
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import QUADRATURE
-from ndf_mi.render.lights import lights
+from ndf_mi.render.scene import lights
 from ndf_mi.render.settings import Setting, converged, field_digest
 from ndf_mi.run import Run
 

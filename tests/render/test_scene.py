@@ -4,7 +4,7 @@ import mitsuba as mi
 import pytest
 
 from ndf_mi.errors import InputError
-from ndf_mi.render.lights import lights
+from ndf_mi.render.scene import lights
 
 
 def write(path, inside):
