@@ -110,7 +110,8 @@ def machine() -> str:
         model = names[0] if names else model
     versions = ", ".join(f"{name} {version(name)}" for name in ("mitsuba", "drjit", "open3d", "libigl"))
     load = os.getloadavg()[0]
-    return f"{model}, {os.cpu_count()} cores, {mi.variant()}, {dr.thread_count()} threads; {versions}; load {load:.1f}"
+    cores = f"{os.cpu_count()} cores, {mi.variant()}, {dr.thread_count()} threads"
+    return f"{model}, {cores}; {versions}; load {load:.1f}"
 
 
 def main(options: Options) -> None:

@@ -95,7 +95,8 @@ def main(options: Options) -> None:
     )
     rays = mi.Ray3f(ray.o + dr.zeros(mi.Point3f, width * height), ray.d)
     print(
-        f"{mi.variant()}, {run.path.name} frame {frame}, preset {preset.name}, {width} x {height} pixels, {options.samples} samples\n"
+        f"{mi.variant()}, {run.path.name} frame {frame}, preset {preset.name}, "
+        f"{width} x {height} pixels, {options.samples} samples\n"
     )
     low, high = volpath_cost.corners(run, frame)
     for n in options.grids:

@@ -81,8 +81,9 @@ def main(options: Options) -> None:
                 else:
                     differences[name].append(np.abs(image - first).max(-1).ravel())
     print(
-        f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, {len(views)} images of "
-        f"{capture.cameras[views[0][0]].w} x {capture.cameras[views[0][0]].h}, {options.samples} samples a ray\n"
+        f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, "
+        f"{len(views)} images of {capture.cameras[views[0][0]].w} x {capture.cameras[views[0][0]].h}, "
+        f"{options.samples} samples a ray\n"
     )
     print("| | seconds an image | rms difference | 99.9 % below |\n| --- | --- | --- | --- |")
     for name in ways:

@@ -99,7 +99,8 @@ def measure(name: str, scene: mi.Scene, options: Options) -> None:
     stack = np.stack(pictures)
     noise = np.sqrt(stack.var(axis=0, ddof=1).mean()) / stack.mean()
     print(
-        f"{name:<28}{np.median(seconds[1:]):>9.2f}{seconds[0]:>9.2f}{evaluated:>13,}{compiled:>10}{noise:>9.4f}"
+        f"{name:<28}{np.median(seconds[1:]):>9.2f}{seconds[0]:>9.2f}"
+        f"{evaluated:>13,}{compiled:>10}{noise:>9.4f}"
     )
 
 

@@ -5,11 +5,10 @@
 One process, repeats interleaved: every representation renders once, then every one again with other random
     numbers. They are
 
-    box       the `ndf` medium in its bounding box
-    shell     the same in an `ndf_shell`
-    nested    the same in nested shells with local majorants
-    L mm      the same in nested shells, the field sampled on a grid of that spacing (the medium's `grid_spacing`)
-    grid N    Mitsuba's `heterogeneous` medium in the bounding box, baked from the field into N³ cells
+    box       the `ndf` medium in its bounding box shell     the same in an `ndf_shell` nested    the same in
+    nested shells with local majorants L mm      the same in nested shells, the field sampled on a grid of
+    that spacing (the medium's `grid_spacing`) grid N    Mitsuba's `heterogeneous` medium in the bounding box,
+    baked from the field into N³ cells
 
 Seconds are the median over the repeats, for an image at `--spp`. Noise is the standard deviation of one
 sample a pixel, from the variance between the repeats in each pixel, relative to the mean radiance. Twice the
@@ -118,14 +117,17 @@ def main(options: Options) -> None:
         "box": lambda: box(run, {"type": "ndf", "run": str(run.path), "frame": frame}, frame),
         "shell": lambda: shell(run, frame, {"cell": options.cell}),
         "nested": lambda: shell(run, frame, {"cell": options.cell, "layers": options.layers}),
-        **{f"{1e3 * size:g} mm": lambda size=size: shell(run, frame, {"cell": options.cell, "layers": options.layers}, grid_spacing=size)
+        **{f"{1e3 * size:g} mm": lambda size=size: shell(run, frame,
+                                                         {"cell": options.cell, "layers": options.layers},
+                                                         grid_spacing=size)
            for size in options.spacings},
         **{f"grid {n}": lambda n=n: box(run, baked(run, frame, n), frame) for n in options.grids},
     }
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, {run.path.name} frame {frame}, "
-          f"preset {run.model.field.preset.name}, {options.size * 2 // 3} x {options.size} pixels, {options.spp} samples, "
-          f"depth {options.depth}\n")
-    ways = [prepare(name, make, run, frame, options) for name, make in makers.items() if not options.ways or name in options.ways]
+    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {mi.variant()}, "
+          f"{run.path.name} frame {frame}, preset {run.model.field.preset.name}, "
+          f"{options.size * 2 // 3} x {options.size} pixels, {options.spp} samples, depth {options.depth}\n")
+    ways = [prepare(name, make, run, frame, options) for name, make in makers.items() if not options.ways
+            or name in options.ways]
     for repeat in range(options.repeats):
         for way in ways:
             start = time.perf_counter()
@@ -133,7 +135,8 @@ def main(options: Options) -> None:
             way.seconds.append(time.perf_counter() - start)
     for way in ways:
         way.evaluations = count(way.scene, options)
-        majorants = [float(s.interior_medium().majorant[0]) for s in way.scene.shapes() if hasattr(s.interior_medium(), "majorant")]
+        majorants = [float(s.interior_medium().majorant[0]) for s in way.scene.shapes()
+                     if hasattr(s.interior_medium(), "majorant")]
         if majorants:
             print(f"{way.name}: majorants " + ", ".join(f"{m:.4g}" for m in sorted(majorants)) + " per metre")
     print()
@@ -153,9 +156,12 @@ def camera(run: Run, frame: int, options: Options, close: bool = False) -> dict[
         top = vertices[vertices[:, 1] > vertices[:, 1].max() - 0.3]
         centre = (top.min(0) + top.max(0)) / 2
     return {
-        "type": "perspective", "fov": float(np.degrees(2 * np.arctan(0.2 / distance))) if close else 30, "fov_axis": "y",
-        "to_world": mi.ScalarTransform4f().look_at((centre + [0, 0, distance]).tolist(), centre.tolist(), [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": options.size * 2 // 3, "height": options.size, "pixel_format": "rgb",
+        "type": "perspective", "fov": float(np.degrees(2 * np.arctan(0.2 / distance))) if close else 30,
+        "fov_axis": "y",
+        "to_world": mi.ScalarTransform4f().look_at((centre + [0, 0, distance]).tolist(), centre.tolist(),
+                                                   [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": options.size * 2 // 3, "height": options.size,
+                 "pixel_format": "rgb",
                  "rfilter": {"type": "box"}},
         "sampler": {"type": "independent"},
     }
@@ -163,13 +169,15 @@ def camera(run: Run, frame: int, options: Options, close: bool = False) -> dict[
 
 def scene_of(shape: dict[str, Any], run: Run, frame: int, options: Options) -> mi.Scene:
     """The performer before a constant environment."""
-    return mi.load_dict({"type": "scene", "integrator": {"type": "volpath", "max_depth": options.depth}, "light": {"type": "constant"},
+    return mi.load_dict({"type": "scene", "integrator": {"type": "volpath", "max_depth": options.depth},
+                         "light": {"type": "constant"},
                          "sensor": camera(run, frame, options), "performer": shape})
 
 
 def shell(run: Run, frame: int, how: dict[str, Any], **more: Any) -> dict[str, Any]:
     """The medium in its shell or shells."""
-    return {"type": "ndf_shell", **how, "interior": {"type": "ndf", "run": str(run.path), "frame": frame, **more}}
+    return {"type": "ndf_shell", **how,
+            "interior": {"type": "ndf", "run": str(run.path), "frame": frame, **more}}
 
 
 def corners(run: Run, frame: int) -> tuple[np.ndarray, np.ndarray]:
@@ -181,7 +189,8 @@ def corners(run: Run, frame: int) -> tuple[np.ndarray, np.ndarray]:
 def box(run: Run, medium: dict[str, Any], frame: int) -> dict[str, Any]:
     """A medium in the band's box."""
     low, high = corners(run, frame)
-    transform = mi.ScalarTransform4f().translate(((low + high) / 2).tolist()).scale(((high - low) / 2).tolist())
+    transform = mi.ScalarTransform4f().translate(((low + high)
+                                                  / 2).tolist()).scale(((high - low) / 2).tolist())
     return {"type": "cube", "to_world": transform, "bsdf": {"type": "null"}, "interior": medium}
 
 
@@ -195,7 +204,8 @@ def baked(run: Run, frame: int, cells: int) -> dict[str, Any]:
     with dr.suspend_grad():
         for start in range(0, cells**3, chunk := 1 << 18):
             index = dr.arange(mi.UInt32, min(chunk, cells**3 - start)) + dr.opaque(mi.UInt32, start)
-            at = mi.Point3f(mi.Float(index % cells), mi.Float(index // cells % cells), mi.Float(index // cells**2))
+            at = mi.Point3f(mi.Float(index % cells), mi.Float(index // cells % cells),
+                            mi.Float(index // cells**2))
             x = mi.Point3f(*low.tolist()) + (at + 0.5) * step
             located = posed.locate(x, posed.may_contain(x))
             sample = posed.evaluate(x, dr.normalize(x - eye), located, located.valid)
@@ -203,7 +213,8 @@ def baked(run: Run, frame: int, cells: int) -> dict[str, Any]:
             some = located.valid.numpy()
             albedo[start : start + len(index)][some] = sample.colour.numpy().T[some]
     transform = mi.ScalarTransform4f().translate(low.tolist()).scale((high - low).tolist())
-    volumes = {name: {"type": "gridvolume", "grid": mi.VolumeGrid(values.reshape(cells, cells, cells, -1)), "to_world": transform}
+    volumes = {name: {"type": "gridvolume", "grid": mi.VolumeGrid(values.reshape(cells, cells, cells, -1)),
+                      "to_world": transform}
                for name, values in (("sigma_t", sigma), ("albedo", albedo))}
     return {"type": "heterogeneous", **volumes}
 
@@ -260,7 +271,8 @@ def count_grid(shape: mi.Shape, scene: mi.Scene, options: Options) -> float:
     params = mi.traverse(shape.interior_medium())
     low, high = shape.bbox().min, shape.bbox().max
     transform = mi.ScalarTransform4f().translate(low).scale(high - low)
-    volumes = [mi.load_dict({"type": "gridvolume", "grid": mi.VolumeGrid(params[f"{name}.data"].numpy()), "to_world": transform})
+    volumes = [mi.load_dict({"type": "gridvolume", "grid": mi.VolumeGrid(params[f"{name}.data"].numpy()),
+                             "to_world": transform})
                for name in ("sigma_t", "albedo")]
     counter = dr.zeros(mi.UInt32, 1)
     dr.make_opaque(counter)
@@ -281,11 +293,14 @@ def count_grid(shape: mi.Shape, scene: mi.Scene, options: Options) -> float:
         def get_scattering_coefficients(self, mei: mi.MediumInteraction3f, active: mi.Bool = True) -> Any:
             dr.scatter_reduce(dr.ReduceOp.Add, counter, mi.UInt32(1), mi.UInt32(0), mi.Bool(active))
             sigma = volumes[0].eval_1(mei, active)
-            return sigma * volumes[1].eval(mei, active), mi.UnpolarizedSpectrum(self.majorant - sigma), mi.UnpolarizedSpectrum(sigma)
+            null = mi.UnpolarizedSpectrum(self.majorant - sigma)
+            return sigma * volumes[1].eval(mei, active), null, mi.UnpolarizedSpectrum(sigma)
 
     sensor = scene.sensors()[0]
-    other = mi.load_dict({"type": "scene", "integrator": {"type": "volpath", "max_depth": options.depth}, "light": {"type": "constant"},
-                          "cube": {"type": "cube", "to_world": mi.ScalarTransform4f().translate((low + high) / 2).scale((high - low) / 2),
+    place = mi.ScalarTransform4f().translate((low + high) / 2)
+    other = mi.load_dict({"type": "scene", "integrator": {"type": "volpath", "max_depth": options.depth},
+                          "light": {"type": "constant"},
+                          "cube": {"type": "cube", "to_world": place.scale((high - low) / 2),
                                    "bsdf": {"type": "null"}, "interior": Counted()}, "sensor": sensor})
     render(other, 4, 3)
     return int(counter[0]) / (4 * options.size * (options.size * 2 // 3))
@@ -295,10 +310,12 @@ def sampled(scene: mi.Scene, spp: int, first: int, sensor: mi.Sensor) -> np.ndar
     """Independent pictures, (n, h, w, 3), whose mean has so many samples a pixel; `first` is their first
     seed."""
     each = min(CHUNK, spp // 2)
-    return np.stack([render(scene, each, first + i, sensor) for i in range(-(-spp // each))]).astype(np.float64)
+    return np.stack([render(scene, each, first + i, sensor)
+                     for i in range(-(-spp // each))]).astype(np.float64)
 
 
-def errors(ways: list[Way], make: Callable[[], dict[str, Any]], run: Run, frame: int, options: Options) -> dict[str, tuple[float, float]]:
+def errors(ways: list[Way], make: Callable[[], dict[str, Any]], run: Run, frame: int,
+           options: Options) -> dict[str, tuple[float, float]]:
     """Of each way but the box the error against the box, and how much noise is left in it, both over the mean
     radiance."""
     if not options.reference:
@@ -319,8 +336,8 @@ def errors(ways: list[Way], make: Callable[[], dict[str, Any]], run: Run, frame:
 
 def report(ways: list[Way], off: dict[str, tuple[float, float]], options: Options) -> None:
     """Prints the table."""
-    print("| way | seconds | noise of a sample | evaluations a ray | error | noise left | loading, s | first picture, s | memory, MiB "
-          f"| seconds for {100 * options.noise:g} % noise |")
+    print("| way | seconds | noise of a sample | evaluations a ray | error | noise left | loading, s "
+          f"| first picture, s | memory, MiB | seconds for {100 * options.noise:g} % noise |")
     print("| --- " + "| ---: " * 9 + "|")
     for way in ways:
         pictures = np.stack(way.pictures).astype(np.float64)
@@ -329,8 +346,8 @@ def report(ways: list[Way], off: dict[str, tuple[float, float]], options: Option
         seconds = float(np.median(way.seconds))
         error, left = (f"{100 * value:.2f} %" for value in off[way.name]) if way.name in off else ("–", "–")
         needed = seconds / options.spp * variance / options.noise**2
-        print(f"| {way.name} | {seconds:.2f} | {np.sqrt(variance):.2f} | {way.evaluations:.1f} | {error} | {left} | {way.load:.1f} "
-              f"| {way.first:.1f} | {way.memory:.0f} | {needed:.1f} |")
+        print(f"| {way.name} | {seconds:.2f} | {np.sqrt(variance):.2f} | {way.evaluations:.1f} | {error} "
+              f"| {left} | {way.load:.1f} | {way.first:.1f} | {way.memory:.0f} | {needed:.1f} |")
 
 
 if __name__ == "__main__":

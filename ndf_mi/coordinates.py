@@ -34,9 +34,8 @@ class Distance:
     def __init__(self, preset: Preset) -> None:
         self._kind = preset.distance
         self._inside = preset.band_inside
-        self._scale = 1.0 / (
-            preset.band if preset.distance == "unsigned" else preset.band + preset.band_inside
-        )
+        unsigned = preset.distance == "unsigned"
+        self._scale = 1.0 / (preset.band if unsigned else preset.band + preset.band_inside)
 
     def __call__(self, l: mi.Float) -> mi.Float:
         if self._kind == "unsigned":
@@ -99,13 +98,8 @@ class World:
 
 
 def coordinates(preset: Preset, body: Body, poses: Poses) -> Coordinates:
-    """The coordinates that a preset names.
-
-    Args:
-        preset: `coordinates` and `distance` matter.
-        body: its `template` is the body at rest, or without one the first pose.
-        poses: the body in all its poses.
-    """
+    """The coordinates that a preset's `coordinates` and `distance` name. The body at rest is its `template`,
+    or without one the first pose."""
     if preset.coordinates == "surface":
         return SurfacePoint(preset, body.faces, poses.vertices[0] if body.template is None else body.template)
     if preset.coordinates == "world":

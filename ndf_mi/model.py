@@ -23,9 +23,8 @@ as cooperative vectors, or as cooperative vectors in half precision; `auto` take
 
 def networks_here() -> tuple[str, ...]:
     """The entries of `NETWORKS` that the active variant supports."""
-    return tuple(
-        name for name in NETWORKS if name != "fused" or "single" in variants.cooperative_precisions()
-    )
+    single = "single" in variants.cooperative_precisions()
+    return tuple(name for name in NETWORKS if name != "fused" or single)
 
 
 class Model:
@@ -122,8 +121,10 @@ class PosedModel:
         if dr.grad_enabled(x) or dr.grad_enabled(self.surface.vertices):
             located = self._located(self.surface.project_onto(located.triangle, x, active))
         u, d, n = self._inputs(x, d, located, active)
-        fused = self._prefers_fused() and not dr.grad_enabled(u, d) and not self.bound.attached
-        if not fused:
+        fused = self._networks != "batched"
+        if self._networks == "auto":
+            fused = self.bound.width <= variants.fused_width()
+        if not fused or dr.grad_enabled(u, d) or self.bound.attached:
             sigma, colour = self.bound.batched(u, d, n)
         else:
             if not self.bound.packed:
@@ -148,11 +149,10 @@ class PosedModel:
         return mi.Point3f(uv.x, uv.y, dr.fma(l, scale, self._inside * scale))
 
     def _located(self, found: Projection) -> Located:
-        """A projection as attached as it is; valid in the band."""
+        """A projection, attached; valid in the band."""
         valid = found.valid & (found.l >= -self._inside)
-        return Located(
-            found.triangle, found.uv, found.l, found.normal, found.barycentric, valid, mi.Float(1.0)
-        )
+        weight = mi.Float(1.0)
+        return Located(found.triangle, found.uv, found.l, found.normal, found.barycentric, valid, weight)
 
     def _inputs(
         self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool
@@ -165,17 +165,8 @@ class PosedModel:
     def _sample(self, sigma: mi.Float, colour: mi.Color3f, located: Located, active: mi.Bool) -> FieldSample:
         l = dr.select(active, located.l, 0.0)
         uv = dr.select(active, located.uv, 0.0)
-        return FieldSample(
-            dr.select(active, sigma * self._fading(l), 0.0), colour, mi.Point3f(uv.x, uv.y, l), located.normal
-        )
-
-    def _prefers_fused(self) -> bool:
-        """Whether to use cooperative vectors where either form would do."""
-        return (
-            self.bound.width <= variants.fused_width()
-            if self._networks == "auto"
-            else self._networks != "batched"
-        )
+        sigma = dr.select(active, sigma * self._fading(l), 0.0)
+        return FieldSample(sigma, colour, mi.Point3f(uv.x, uv.y, l), located.normal)
 
     def _fading(self, l: mi.Float) -> mi.Float:
         """Factor on the density that falls smoothly from 1 to 0 towards the band's edges."""

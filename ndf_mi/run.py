@@ -11,10 +11,11 @@ import json
 import os
 from collections import OrderedDict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 from weakref import WeakValueDictionary
 
 import mitsuba as mi
+import msgspec
 import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
@@ -24,7 +25,7 @@ from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
 from ndf_mi.errors import InputError
 from ndf_mi.field import Field, FieldParameters, Preset
-from ndf_mi.json_input import load_json
+from ndf_mi.json_input import load_json, validated
 from ndf_mi.model import Model, PosedModel
 from ndf_mi.projection import PosedSurface
 
@@ -34,8 +35,17 @@ QUADRATURE = "ndf_quadrature"
 """The integrator that fields are trained with by default."""
 _FILES = ("config.json", "body.npz", "poses.npz", "field.safetensors")
 _CACHED_POSES = 128
+_Fraction: TypeAlias = Annotated[float, msgspec.Meta(ge=0, le=1)]
 _SHARED: WeakValueDictionary[tuple[object, ...], Run] = WeakValueDictionary()
 """Runs in use, by folder, variant and the files' signatures."""
+
+
+class _Config(msgspec.Struct):
+    """What every configuration holds; see `Run.config`."""
+
+    preset: dict[str, Any]
+    seed: Annotated[int, msgspec.Meta(ge=0)]
+    background: tuple[_Fraction, _Fraction, _Fraction]
 
 
 class Run:
@@ -108,17 +118,13 @@ class Run:
         body = Body.read(path / "body.npz")
         poses = Poses.read(path / "poses.npz", body)
         model = Model(body, poses, preset)
-        return cls(
-            path, config, body, poses, model, _read_parameters(path / "field.safetensors", model.field)
-        )
+        parameters = _read_parameters(path / "field.safetensors", model.field)
+        return cls(path, config, body, poses, model, parameters)
 
     @classmethod
     def shared(cls, path: str | os.PathLike[str]) -> Run:
         """As :meth:`load`, but returns the same object for the same folder, as long as it is in use and its
-        files stay the same.
-
-        Do not change it.
-        """
+        files stay the same. Do not change it."""
         folder = os.path.realpath(path)
         try:
             states = [os.stat(os.path.join(folder, name)) for name in _FILES]
@@ -148,16 +154,13 @@ class Run:
             save_file(self.field_tensors(), beside)
 
     def surface(self, frame: int) -> PosedSurface:
-        """The body at a frame, ready for queries; the most recently used frames are kept.
-
-        Raises:
-            InputError: there is no such frame.
-        """
+        """The body at a frame, ready for queries; the most recently used frames are kept. Raises InputError
+        if there is no such frame."""
         row = self.poses.index(frame)
         if row in self._surfaces:
             self._surfaces.move_to_end(row)
         else:
-            vertices = mi.Float(self.poses.vertices[row].ravel())
+            vertices = _flat(self.poses.vertices[row])
             self._surfaces[row] = PosedSurface(self.model.surface, vertices, self.model.band)
             if len(self._surfaces) > _CACHED_POSES:
                 self._surfaces.popitem(last=False)
@@ -165,24 +168,19 @@ class Run:
 
     def pose_vector(self, frame: int) -> mi.Float:
         """Flat (3·J) axis-angles at a frame, the root's three zero."""
-        return mi.Float(
-            np.ascontiguousarray(self.poses.pose[self.poses.index(frame)], dtype=np.float32).ravel()
-        )
+        return _flat(self.poses.pose[self.poses.index(frame)])
 
     def posed(
         self, frame: int, networks: str = "auto", parameters: FieldParameters | None = None
     ) -> PosedModel:
-        """The field at a frame.
+        """The field at one of the poses' frames.
 
         Args:
-            frame: one of the poses'.
             networks: as in :class:`PosedModel`.
             parameters: used instead of the run's own; gradients flow to them.
         """
-        return PosedModel(
-            self.model, parameters or self.parameters, self.surface(frame), self.pose_vector(frame),
-            networks=networks,
-        )
+        surface, pose = self.surface(frame), self.pose_vector(frame)
+        return PosedModel(self.model, parameters or self.parameters, surface, pose, networks=networks)
 
     def posed_as(self, vertices: np.ndarray, pose: np.ndarray, networks: str = "auto") -> PosedModel:
         """The field around a body in any pose.
@@ -192,11 +190,12 @@ class Run:
             pose: (J, 3) axis-angles of the joints relative to their parents, in radians, the root's zero.
             networks: as in :class:`PosedModel`.
         """
-        surface = PosedSurface(
-            self.model.surface, mi.Float(np.ascontiguousarray(vertices, np.float32).ravel()), self.model.band
-        )
-        pose_vector = mi.Float(np.ascontiguousarray(pose, np.float32).ravel())
-        return PosedModel(self.model, self.parameters, surface, pose_vector, networks=networks)
+        surface = PosedSurface(self.model.surface, _flat(vertices), self.model.band)
+        return PosedModel(self.model, self.parameters, surface, _flat(pose), networks=networks)
+
+
+def _flat(values: np.ndarray) -> mi.Float:
+    return mi.Float(np.ascontiguousarray(values, np.float32).ravel())
 
 
 def _read_config(path: Path) -> dict[str, Any]:
@@ -208,15 +207,7 @@ def _read_config(path: Path) -> dict[str, Any]:
         newer = isinstance(config.get("version"), int) and config["version"] > VERSION
         raise InputError(f"{path}: version", repr(config.get("version")), str(VERSION),
                          "A newer ndf-mi wrote it: upgrade with `pip install -U ndf-mi`." if newer else "")
-    for key, kind in (("preset", dict), ("seed", int), ("background", list)):
-        if not isinstance(config.get(key), kind):
-            raise InputError(f"{path}: {key}", repr(config.get(key)), f"a {kind.__name__}")
-    if config["seed"] < 0:
-        raise InputError(f"{path}: seed", str(config["seed"]), "a whole number of at least 0")
-    if len(config["background"]) != 3 or not all(
-        isinstance(v, (int, float)) and 0 <= v <= 1 for v in config["background"]
-    ):
-        raise InputError(f"{path}: background", repr(config["background"]), "three numbers in [0, 1]")
+    validated(config, _Config, str(path))
     return config
 
 
@@ -234,12 +225,9 @@ def _read_parameters(path: Path, field: Field) -> FieldParameters:
             raise InputError(f"{path}: {name}", "no such tensor", f"{size} numbers")
         found = tensors[name]
         if found.shape != (size,) or found.dtype != np.float32:
-            raise InputError(
-                f"{path}: {name}", f"{found.dtype} of shape {found.shape}",
-                f"float32 of shape {(size,)}, as the preset has",
-            )
+            expected = f"float32 of shape {(size,)}, as the preset has"
+            raise InputError(f"{path}: {name}", f"{found.dtype} of shape {found.shape}", expected)
         if not np.isfinite(found).all():
             raise InputError(f"{path}: {name}", "numbers that are not finite", "finite numbers")
-    return FieldParameters(
-        mi.Float(tensors["weights"]), mi.Float(tensors["grid"]) if field.grid_size else None
-    )
+    grid = mi.Float(tensors["grid"]) if field.grid_size else None
+    return FieldParameters(mi.Float(tensors["weights"]), grid)

@@ -117,6 +117,8 @@ def register() -> None:
           even then.
         """
 
+        outermost = True
+
         def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             rename_parameter(props, "ndf", "lattice", "grid_spacing")
@@ -128,44 +130,35 @@ def register() -> None:
                 raise InputError("ndf: scale", repr(self.scale), "a number above 0")
             self.grid_spacing = float(props.get("grid_spacing", 0.0))
             if not 0 <= self.grid_spacing < float("inf"):
-                raise InputError(
-                    "ndf: grid_spacing", repr(self.grid_spacing),
-                    "a spacing above 0 in metres, or 0 for no grid",
-                )
+                expected = "a spacing above 0 in metres, or 0 for no grid"
+                raise InputError("ndf: grid_spacing", repr(self.grid_spacing), expected)
             if self.grid_spacing > 0 and self.run.model.field.preset.direction_octaves >= 0:
-                raise InputError("ndf: grid_spacing", f"{self.grid_spacing:g}, of a field whose colours "
-                                                      "depend on the view direction",
-                                 "0, or a field without that", "A grid holds one colour for all directions.")
+                found = f"{self.grid_spacing:g}, of a field whose colours depend on the view direction"
+                raise InputError("ndf: grid_spacing", found, "0, or a field without that",
+                                 "A grid holds one colour for all directions.")
             self.weights, self.grid = mi.Float(self.run.parameters.weights), self.run.parameters.grid
             if self.grid is not None:
                 self.grid = mi.Float(self.grid)
-            self.vertices = mi.Float(
-                (self.run.poses.vertices[self.run.poses.index(self.frame)] + self.offset).ravel()
-            )
+            vertices = self.run.poses.vertices[self.run.poses.index(self.frame)]
+            self.vertices = mi.Float((vertices + self.offset).ravel())
             self.pose = self.run.pose_vector(self.frame)
             # A literal would be compiled into every kernel, and again for each new value.
             dr.make_opaque(self.weights, self.grid, self.vertices, self.pose)
-            self._surface = PosedSurface(self.run.model.surface, self.vertices, self.run.model.band)
             self._nested: Majorants | None = None
             self._warned: set[str] = set()
-            self._bind()
+            self._bind(moved=True)
 
         @property
         def neural_field(self) -> NDFMedium:
-            """The medium itself."""
             return self
 
-        @property
-        def outermost(self) -> bool:
-            """True: the medium is not a layer."""
-            return True
-
         def posed(self) -> PosedModel:
-            """The field with the medium's present parameters; gradients flow to them."""
             return self._model
 
-        def _bind(self) -> None:
+        def _bind(self, moved: bool) -> None:
             model, parameters = self.run.model, FieldParameters(self.weights, self.grid)
+            if moved:
+                self._surface = PosedSurface(model.surface, self.vertices, model.band)
             self._model = PosedModel(model, parameters, self._surface, self.pose)
             self._model.bound.pack()
             # What paths meet: the field, or the grid that it is sampled on.
@@ -184,38 +177,21 @@ def register() -> None:
 
         def parameters_changed(self, keys: list[str]) -> None:
             moved = not keys or "vertices" in keys
-            if moved:
-                self._surface = PosedSurface(self.run.model.surface, self.vertices, self.run.model.band)
-            self._bind()
+            self._bind(moved)
             if self._nested is not None and (not keys or not set(_PARAMETERS).isdisjoint(keys)):
                 self._follow(self._nested, moved)
 
         def nest(
             self, layers: int, cell: float
         ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[mi.Medium]]:
-            """Nested shells around the field with its present parameters, and the medium between each and the
-            next.
-
-            Args:
-                layers: largest number of shells.
-                cell: spacing in metres of the grid that they are cut from.
-
-            Returns:
-                the shells from the outermost on, as vertices and faces, and as many media. These share the
-                field's parameters, which the first exposes, and its phase function; their majorants follow
-                changes of the parameters.
-
-            Raises:
-                InputError: the medium has shells already.
-            """
+            """See :class:`ndf_mi.render.performers.NeuralField`. Raises InputError if there are shells."""
             if self._nested is not None:
-                raise InputError("ndf_shell", "an `ndf` medium that is inside another "
-                                              "`ndf_shell`", "a medium of its own for each")
+                found = "an `ndf` medium that is inside another `ndf_shell`"
+                raise InputError("ndf_shell", found, "a medium of its own for each")
             self._nested = Majorants(self.run.model, self._seen, self.vertices, layers, cell)
             self._adopt(self._nested)
-            return self._nested.layers.shells, [
-                NDFLayer(self, index) for index in range(len(self._nested.values))
-            ]
+            media = [NDFLayer(self, index) for index in range(len(self._nested.values))]
+            return self._nested.layers.shells, media
 
         def _follow(self, nested: Majorants, moved: bool) -> None:
             """New majorants between the same shells. While gradients are tracked, weights change all the
@@ -239,9 +215,7 @@ def register() -> None:
             self.layer_majorants = [dr.opaque(mi.Float, value * self.scale) for value in values]
 
         def _differentiated(self) -> bool:
-            return any(
-                dr.grad_enabled(value) for name in _PARAMETERS if (value := getattr(self, name)) is not None
-            )
+            return dr.grad_enabled([getattr(self, name) for name in _PARAMETERS])
 
         def _warn(self, kind: str, text: str) -> None:
             """Logs a warning of each kind once."""
@@ -254,24 +228,19 @@ def register() -> None:
         ) -> tuple[mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum, mi.UnpolarizedSpectrum]:
             """(σ_s, σ_n, σ_t) in 1/m under a majorant, where σ_n = majorant − σ_t."""
             if self._seen is not self._model and self._differentiated():
-                raise InputError(
-                    "ndf: grid_spacing", "gradients of parameters",
-                    "none: what is sampled on a grid is detached", "Leave out `grid_spacing`.",
-                )
+                expected = "none: what is sampled on a grid is detached"
+                raise InputError("ndf: grid_spacing", "gradients of parameters", expected,
+                                 "Leave out `grid_spacing`.")
             if self._model.bound.half and self._model.bound.attached:
                 self._warn("stalling", _STALLING)
             sample = self._seen.fused(mei.p, -mei.wi, active)
             extinction = sample.sigma * self.scale
-            return (
-                mi.UnpolarizedSpectrum(extinction * sample.colour),
-                mi.UnpolarizedSpectrum(majorant - extinction), mi.UnpolarizedSpectrum(extinction),
-            )
+            coefficients = extinction * sample.colour, majorant - extinction, extinction
+            return tuple(mi.UnpolarizedSpectrum(value) for value in coefficients)
 
         def to_string(self) -> str:
-            return (
-                f"NDFMedium[\n  run = {self.run.path},\n  frame = {self.frame},\n"
-                f"  majorant = {self.majorant[0]:.4g}\n]"
-            )
+            return (f"NDFMedium[\n  run = {self.run.path},\n  frame = {self.frame},\n"
+                    f"  majorant = {self.majorant[0]:.4g}\n]")
 
     class NDFLayer(Part):
         """The field of an ``ndf`` medium between two nested shells, made by ``ndf_shell``."""
@@ -286,12 +255,10 @@ def register() -> None:
 
         @property
         def outermost(self) -> bool:
-            """Whether only the outermost shell encloses it."""
             return self.index == 0
 
         @property
         def majorant(self) -> mi.Float:
-            """In 1/m."""
             return self.neural_field.layer_majorants[self.index]
 
         def traverse(self, callback: Any) -> None:
@@ -302,9 +269,7 @@ def register() -> None:
             self.neural_field.parameters_changed(keys)
 
         def to_string(self) -> str:
-            return (
-                f"NDFLayer[\n  index = {self.index},\n  majorant = {self.majorant[0]:.4g},\n"
-                f"  field = {self.neural_field}\n]"
-            )
+            return (f"NDFLayer[\n  index = {self.index},\n  majorant = {self.majorant[0]:.4g},\n"
+                    f"  field = {self.neural_field}\n]")
 
     mi.register_medium("ndf", lambda props: NDFMedium(props))

@@ -90,10 +90,8 @@ def register() -> None:
                     mi.UnpolarizedSpectrum(extinction))
 
         def to_string(self) -> str:
-            return (
-                f"GridMedium[\n  shape = {self.shape},\n  cell = {self.cell:g},\n"
-                f"  majorant = {self.majorant[0]:.4g}\n]"
-            )
+            return (f"GridMedium[\n  shape = {self.shape},\n  cell = {self.cell:g},\n"
+                    f"  majorant = {self.majorant[0]:.4g}\n]")
 
     def formerly(props: mi.Properties) -> GridMedium:
         warn("plugin ndf_lattice", "ndf_grid")

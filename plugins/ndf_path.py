@@ -10,9 +10,8 @@ import mitsuba as mi
 
 from ndf_mi.errors import InputError
 from ndf_mi.render import properties
-from ndf_mi.render.path_vertex import Origin, sample_vertex
 from ndf_mi.render.performers import FieldMedium, performers
-from ndf_mi.render.surfaces import next_surface
+from ndf_mi.render.surfaces import Origin, next_surface, sample_vertex
 from ndf_mi.render.transport import Crossing, Performer, Transport
 
 PATHS_AT_ONCE = 1 << 18
@@ -86,9 +85,8 @@ def register() -> None:
         def __init__(self, props: mi.Properties) -> None:
             depth = int(props.get("max_depth", 6))
             if depth != -1 and depth < 1:
-                raise InputError(
-                    "ndf_path: max_depth", str(depth), "a whole number above 0, or -1 for no limit"
-                )
+                expected = "a whole number above 0, or -1 for no limit"
+                raise InputError("ndf_path: max_depth", str(depth), expected)
             # Mitsuba reads both itself, and accepts any number.
             properties.count(props, "ndf_path", "rr_depth", 5)
             super().__init__(props)

@@ -27,6 +27,10 @@ CHANNELS = {
 """What can be output besides radiance, and the names of its channels."""
 
 
+GEOMETRY = frozenset({"uvl", "normal"})
+"""Those of the body's surface, three channels each."""
+
+
 def register() -> None:
     """Defines and registers the plugin for the active variant."""
     from mitsuba.ad.integrators.common import ADIntegrator
@@ -82,8 +86,8 @@ def register() -> None:
             rename_parameter(props, "ndf_quadrature", "hidden", "min_transmittance")
             self.min_transmittance = float(props.get("min_transmittance", 0.0))
             if not 0 <= self.min_transmittance < 1:
-                raise InputError("ndf_quadrature: "
-                                 "min_transmittance", f"{self.min_transmittance:g}", "a number in [0, 1)")
+                found = f"{self.min_transmittance:g}"
+                raise InputError("ndf_quadrature: min_transmittance", found, "a number in [0, 1)")
             self.aovs = properties.aovs(props, "ndf_quadrature", CHANNELS)
 
         def aov_names(self) -> list[str]:
@@ -115,27 +119,22 @@ def register() -> None:
             part = mi.Ray3f(dr.gather(mi.Point3f, ray.o, index), dr.gather(mi.Vector3f, ray.d, index))
             jitter = None
             if offset is not None:
-                jitter = dr.repeat(
-                    dr.gather(mi.Float, offset, index), self.samples * performer.volume.sample_factor
-                )
-            geometry = "uvl" in self.aovs or "normal" in self.aovs
+                samples = self.samples * performer.volume.sample_factor
+                jitter = dr.repeat(dr.gather(mi.Float, offset, index), samples)
+            geometry = not GEOMETRY.isdisjoint(self.aovs)
             return quadrature(performer.volume, part, self.samples, jitter=jitter, scale=performer.scale,
                               min_transmittance=self.min_transmittance, geometry=geometry)
 
         def _aov_values(self, passes: list[Radiance]) -> list[mi.Float]:
             values: list[mi.Float] = []
             for name in self.aovs:
-                if name in ("depth", "opacity"):
-                    values.append(join([getattr(seen, name) for seen in passes]))
-                else:
-                    attribute = "u" if name == "uvl" else "normal"
-                    values += [join([getattr(seen, attribute)[i] for seen in passes]) for i in range(3)]
+                each = [getattr(seen, "u" if name == "uvl" else name) for seen in passes]
+                values += [join(part) for part in (zip(*each, strict=True) if name in GEOMETRY else [each])]
             return values
 
         def to_string(self) -> str:
             return (f"NDFQuadrature[samples = {self.samples}, stratified = {self.stratified}, "
-                    f"min_transmittance = {self.min_transmittance}, "
-                    f"aovs = {self.aovs}]")
+                    f"min_transmittance = {self.min_transmittance}, aovs = {self.aovs}]")
 
     mi.register_integrator("ndf_quadrature", lambda props: NDFQuadrature(props))
 
@@ -148,6 +147,6 @@ def _performer(scene: mi.Scene) -> Performer:
         if isinstance(medium, FieldMedium) and not any(medium.neural_field is other for other in found):
             found.append(medium.neural_field)
     if len(found) != 1:
-        raise InputError("ndf_quadrature", f"{len(found)} `ndf` media in the "
-                                           "scene", "exactly one, as the interior of a shape")
+        media = f"{len(found)} `ndf` media in the scene"
+        raise InputError("ndf_quadrature", media, "exactly one, as the interior of a shape")
     return emitting(found[0])

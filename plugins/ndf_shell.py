@@ -76,10 +76,9 @@ def make_shell(props: mi.Properties) -> mi.Object:
     if not 0 < cell < float("inf"):
         raise InputError("ndf_shell: cell", repr(cell), "a length above 0, in metres")
     if "to_world" in props:
-        raise InputError(
-            "ndf_shell: to_world", "a transformation", "none: the shell is where the performer is",
-            "Move the performer by the medium's `offset`.",
-        )
+        expected = "none: the shell is where the performer is"
+        raise InputError("ndf_shell: to_world", "a transformation", expected,
+                         "Move the performer by the medium's `offset`.")
     if "flip_normals" in props:
         raise InputError("ndf_shell: flip_normals", str(props["flip_normals"]).lower(),
                          "none: the shell faces outward, as media need")
@@ -93,28 +92,27 @@ def make_shell(props: mi.Properties) -> mi.Object:
     else:
         raise InputError("ndf_shell: run", "nothing", "the run's folder, or an `ndf` medium as its interior")
     if field is not None and (frame != field.frame or run.path.resolve() != field.run.path.resolve()):
-        raise InputError("ndf_shell: interior", f"a medium of {field.run.path}, frame {field.frame}",
-                         f"one of {run.path}, frame "
-                         f"{frame}", "Leave out the shell's run and frame: it takes those of its medium.")
+        found = f"a medium of {field.run.path}, frame {field.frame}"
+        expected = f"one of {run.path}, frame {frame}"
+        raise InputError("ndf_shell: interior", found, expected,
+                         "Leave out the shell's run and frame: it takes those of its medium.")
     offset = properties.offset(run, props) if field is None or "offset" in props else field.offset
     if field is not None and (offset != field.offset).any():
-        raise InputError(
-            "ndf_shell: interior", f"a medium with the offset {field.offset.tolist()}",
-            f"one with {offset.tolist()}", "Leave out the shell's offset: it takes that of its medium.",
-        )
+        found = f"a medium with the offset {field.offset.tolist()}"
+        raise InputError("ndf_shell: interior", found, f"one with {offset.tolist()}",
+                         "Leave out the shell's offset: it takes that of its medium.")
     bsdf = _bsdf(props)
     if layers == 0:
         preset = run.model.field.preset
-        vertices = (
-            mi.Float((run.poses.vertices[run.poses.index(frame)] + offset).ravel())
-            if field is None
-            else field.vertices
-        )
+        if field is None:
+            vertices = mi.Float((run.poses.vertices[run.poses.index(frame)] + offset).ravel())
+        else:
+            vertices = field.vertices
         shell = band_shell(run.model.surface, vertices, preset.band, cell, preset.band_inside)
         return make_mesh("ndf_shell", *shell, props=props)
     if field is None:
-        raise InputError("ndf_shell: layers", f"{layers} around no `ndf` "
-                                              "medium", "an `ndf` medium as its interior")
+        found = f"{layers} around no `ndf` medium"
+        raise InputError("ndf_shell: layers", found, "an `ndf` medium as its interior")
     shells, media = field.nest(layers, cell)
     # A plugin makes one object. Mitsuba's own `merge` is one that stands for several shapes.
     group = mi.Properties("merge")

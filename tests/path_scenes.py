@@ -30,7 +30,8 @@ def glowing(radiance, transform):
             "emitter": {"type": "area", "radiance": grey(radiance)}}
 
 
-def scene_of(integrator="ndf_path", size=24, origin=(0, 0, 2.0), shapes=None, background=None, sampler="independent", **options):
+def scene_of(integrator="ndf_path", size=24, origin=(0, 0, 2.0), shapes=None, background=None,
+             sampler="independent", **options):
     light = {} if background is None else {"light": {"type": "constant", "radiance": grey(background)}}
     return mi.load_dict({
         "type": "scene",
@@ -38,7 +39,8 @@ def scene_of(integrator="ndf_path", size=24, origin=(0, 0, 2.0), shapes=None, ba
         "sensor": {
             "type": "perspective", "fov": 28, "near_clip": 1e-3,
             "to_world": T().look_at(list(origin), [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"},
+                     "pixel_format": "rgb"},
             "sampler": {"type": sampler},
         },
         **light, **(shapes or {}),
@@ -48,7 +50,8 @@ def scene_of(integrator="ndf_path", size=24, origin=(0, 0, 2.0), shapes=None, ba
 def rays(origins, directions):
     o, d = np.broadcast_arrays(np.asarray(origins, np.float32), np.asarray(directions, np.float32))
     d = d / np.linalg.norm(d, axis=1, keepdims=True)
-    return mi.Ray3f(mi.Point3f(np.ascontiguousarray(o.T)), mi.Vector3f(np.ascontiguousarray(d.T, dtype=np.float32)))
+    return mi.Ray3f(mi.Point3f(np.ascontiguousarray(o.T)),
+                    mi.Vector3f(np.ascontiguousarray(d.T, dtype=np.float32)))
 
 
 def radiance(scene, origins, directions, spp=1, seed=0):

@@ -23,8 +23,8 @@ def make_ridge(
 ) -> tuple[Any, Density]:
     """A saved run around the ball, and its density in 1/m as a float64 function of l in metres.
 
-    σ = limit·(1 − exp(−gain·softplus(z) / limit))·fade, z = peak − slope·(max(l* − high*, 0) + max(low* − l*, 0)),
-    where * maps −`band_inside` … `band` to 0 … 1.
+    σ = limit·(1 − exp(−gain·softplus(z) / limit))·fade, z = peak − slope·(max(l* − high*, 0) + max(low* − l*,
+    0)), where * maps −`band_inside` … `band` to 0 … 1.
     """
     run = make_run(
         name,

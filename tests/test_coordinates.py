@@ -1,4 +1,5 @@
-"""What the networks take for a place: each kind against its definition, in float64 from points whose projection is known."""
+"""What the networks take for a place: each kind against its definition, in float64 from points whose
+projection is known."""
 
 import dataclasses
 
@@ -17,7 +18,8 @@ TINY = dataclasses.replace(preset("tiny"), band=0.08, band_inside=0.04)
 
 
 def around_the_ball(changes, n=500, frame=2):
-    """Random points within 3 cm of the posed ball, their signed distance, direction and what the networks would see."""
+    """Random points within 3 cm of the posed ball, their signed distance, direction and what the networks
+    would see."""
     body, poses = ball()
     rng = np.random.default_rng(0)
     direction = rng.normal(size=(n, 3))
@@ -26,7 +28,8 @@ def around_the_ball(changes, n=500, frame=2):
     centre = poses.translation[frame].astype(np.float64)
     x = centre + direction * (RADIUS + distance)[:, None]
     changed = dataclasses.replace(TINY, **changes)
-    surface = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0]), mi.Float(poses.vertices[frame].ravel()), 0.08)
+    surface = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0]),
+                           mi.Float(poses.vertices[frame].ravel()), 0.08)
     points = mi.Point3f(x.T.astype(np.float32))
     found = surface.project(points)
     values = coordinates(changed, body, poses)(points, found, found.valid)
@@ -64,7 +67,8 @@ def test_the_world_is_one_cube_around_all_poses():
 @pytest.mark.parametrize("kind", ["uv", "surface", "world"])
 def test_every_kind_is_attached_to_the_point_and_finite_where_masked(kind):
     body, poses = ball()
-    surface = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0]), mi.Float(poses.vertices[0].ravel()), 0.08)
+    surface = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0]),
+                           mi.Float(poses.vertices[0].ravel()), 0.08)
     x = mi.Point3f([0.1, 0.2, np.nan], [0.2, -0.1, np.nan], [0.25, 0.24, np.nan])
     dr.enable_grad(x)
     found = surface.project(x, mi.Bool([True, True, False]))
@@ -72,11 +76,14 @@ def test_every_kind_is_attached_to_the_point_and_finite_where_masked(kind):
     dr.backward(sum(dr.sum(v) for v in values))
     gradient = dr.grad(x).numpy()
     assert all(np.isfinite(v.numpy()).all() for v in values)
-    assert np.isfinite(gradient).all() and (np.abs(gradient[:, :2]).max(0) > 0).all() and (gradient[:, 2] == 0).all()
+    assert np.isfinite(gradient).all()
+    assert (np.abs(gradient[:, :2]).max(0) > 0).all() and (gradient[:, 2] == 0).all()
 
 
 @pytest.mark.parametrize("name", list(PRESETS))
-@pytest.mark.parametrize("changes", [{"coordinates": "surface"}, {"coordinates": "world"}, {"distance": "none"}, {"distance": "unsigned"},
+@pytest.mark.parametrize("changes",
+                         [{"coordinates": "surface"}, {"coordinates": "world"}, {"distance": "none"},
+                          {"distance": "unsigned"},
                                      {"pose_layers": ()}, {"deformation_layers": ()}])
 def test_batched_and_fused_agree_on_every_kind(make_run, name, changes):
     small = {"density_layers": (32, 32), "density_skip": 0} if name == "paper" else {}
@@ -90,7 +97,8 @@ def test_batched_and_fused_agree_on_every_kind(make_run, name, changes):
     batched, fused = posed.evaluate(x, d, located, located.valid), posed.fused(x, d)
     limit = posed.bound.preset.density_limit
     np.testing.assert_allclose(batched.sigma.numpy(), fused.sigma.numpy(), atol=1e-5 * limit)
-    np.testing.assert_allclose(batched.colour.numpy()[:, located.valid.numpy()], fused.colour.numpy()[:, located.valid.numpy()], atol=1e-4)
+    np.testing.assert_allclose(batched.colour.numpy()[:, located.valid.numpy()],
+                               fused.colour.numpy()[:, located.valid.numpy()], atol=1e-4)
 
 
 def test_without_a_pose_network_nothing_depends_on_the_pose(make_run):
@@ -100,7 +108,9 @@ def test_without_a_pose_network_nothing_depends_on_the_pose(make_run):
     one, other = (run.posed_as(run.poses.vertices[0], run.poses.pose[frame]) for frame in (0, 2))
     located = one.locate(x, mi.Bool(True))
     assert located.valid.numpy().all()
-    for mine, its in zip(*((s.sigma, *s.colour) for s in (p.evaluate(x, d, located, located.valid) for p in (one, other))), strict=True):
+    for mine, its in zip(*((s.sigma, *s.colour)
+                           for s in (p.evaluate(x, d, located, located.valid) for p in (one, other))),
+                           strict=True):
         assert (mine.numpy() == its.numpy()).all()
 
 

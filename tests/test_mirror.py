@@ -21,7 +21,7 @@ ELSEWHERE = {
     "ndf_mi.experiments.relight": "experiments/test_relight.py",
     "ndf_mi.field.sample": "render/test_quadrature.py",
     "ndf_mi.render.output": "commands/test_render.py",
-    "ndf_mi.render.path_vertex": "plugins/test_ndf_path.py",
+    "ndf_mi.render.surfaces": "plugins/test_ndf_path.py",
     "ndf_mi.render.properties": "plugins/test_plugins.py",
     "ndf_mi.unpickle_records": "test_unpickle.py",
 }

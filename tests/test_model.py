@@ -1,4 +1,5 @@
-"""Projection, deformation and field composed: gradients reach vertices and weights, with and without symbolic evaluation."""
+"""Projection, deformation and field composed: gradients reach vertices and weights, with and without symbolic
+evaluation."""
 
 import drjit as dr
 import mitsuba as mi
@@ -81,10 +82,12 @@ def test_symbolic_and_batched_evaluation_agree(run):
     located = posed.locate(x, mi.Bool(True))
     batched = posed.evaluate(x, d, located, located.valid)
     half = posed.bound.half
-    np.testing.assert_allclose(fused.sigma.numpy(), batched.sigma.numpy(), rtol=1e-2 if half else 1e-7, atol=1e-4)
+    np.testing.assert_allclose(fused.sigma.numpy(), batched.sigma.numpy(), rtol=1e-2 if half else 1e-7,
+                               atol=1e-4)
     inside = located.valid.numpy()
     assert 0.1 < inside.mean() < 0.9 and (fused.sigma.numpy()[~inside] == 0).all()
-    np.testing.assert_allclose(fused.colour.numpy()[:, inside], batched.colour.numpy()[:, inside], atol=2e-3 if half else 1e-5)
+    np.testing.assert_allclose(fused.colour.numpy()[:, inside], batched.colour.numpy()[:, inside],
+                               atol=2e-3 if half else 1e-5)
 
 
 def test_networks_run_in_every_form_to_the_same_values(run):
@@ -97,8 +100,10 @@ def test_networks_run_in_every_form_to_the_same_values(run):
         posed = run.posed(0, networks)
         located = posed.locate(x, mi.Bool(True))
         sample = posed.evaluate(x, d, located, located.valid)
-        assert posed.bound.packed == (networks != "batched" and (networks != "auto" or variants.fused_width() > 0))
-        found[networks] = np.stack([sample.sigma.numpy() / 10, *sample.colour.numpy()])[:, located.valid.numpy()]
+        assert posed.bound.packed == (networks != "batched"
+                                      and (networks != "auto" or variants.fused_width() > 0))
+        found[networks] = np.stack([sample.sigma.numpy() / 10,
+                                    *sample.colour.numpy()])[:, located.valid.numpy()]
     for networks in {"auto", "fused"} & set(found):
         np.testing.assert_allclose(found[networks], found["batched"], atol=1e-4)
     error = np.abs(found["half"] - found["batched"])

@@ -38,8 +38,10 @@ def test_sums_of_many_terms(count):
     exact = values.astype(np.float64)
     total, before = block_sum(x, count), sum_before(x, count)
     np.testing.assert_allclose(total.numpy(), exact.sum(1), rtol=2e-6)
-    np.testing.assert_allclose(before.numpy().reshape(3, count), exact.cumsum(1) - exact, rtol=2e-6, atol=1e-6)
-    # Each value counts once in its total and once in the sum before each of those behind it, here with weights.
+    np.testing.assert_allclose(before.numpy().reshape(3, count), exact.cumsum(1) - exact, rtol=2e-6,
+                               atol=1e-6)
+    # Each value counts once in its total and once in the sum before each of those behind it, here with
+    # weights.
     weights = np.random.default_rng(1).uniform(0.5, 1.5, (3, count)).astype(np.float32)
     dr.backward(dr.sum(total) + dr.sum(before * mi.Float(weights.ravel())))
     behind = weights.astype(np.float64)[:, ::-1].cumsum(1)[:, ::-1] - weights

@@ -21,7 +21,9 @@ def loads(monkeypatch):
 
 def scene_of(run, layers=0):
     medium = {"type": "ndf", "run": str(run.path)}
-    return mi.load_dict({"type": "scene", "performer": {"type": "ndf_shell", "run": str(run.path), "layers": layers, "interior": medium}})
+    return mi.load_dict({"type": "scene",
+                         "performer": {"type": "ndf_shell", "run": str(run.path), "layers": layers,
+                                       "interior": medium}})
 
 
 @pytest.mark.parametrize("layers", [0, 2])
@@ -57,4 +59,5 @@ def test_a_run_that_nothing_holds_is_let_go(make_run, loads):
 
 def test_other_media_are_no_field_media():
     grid = mi.load_dict({"type": "ndf_grid", "nx": 2, "ny": 2, "nz": 2, "cell": 0.1})
-    assert not isinstance(grid, FieldMedium) and not isinstance(mi.load_dict({"type": "homogeneous"}), FieldMedium)
+    assert not isinstance(grid, FieldMedium) and not isinstance(mi.load_dict({"type": "homogeneous"}),
+                                                                FieldMedium)

@@ -16,8 +16,7 @@ from ndf_mi import variants
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.field.encoding import GridEncoding, frequency
 from ndf_mi.field.engines import Batched, Fused, HalfFused, Views, pack
-from ndf_mi.field.layers import initial_weights, layout
-from ndf_mi.field.parameters import FieldParameters, matrices, products
+from ndf_mi.field.layers import FieldParameters, initial_weights, layout, matrices, products
 from ndf_mi.field.presets import Preset
 from ndf_mi.numerics import saturated, softplus
 
@@ -56,9 +55,8 @@ class Field:
         """Random parameters to start training from; the same for the same seed."""
         rng = np.random.default_rng(seed)
         weights = mi.Float(initial_weights(self.layers, rng))
-        return FieldParameters(
-            weights, None if self.encoding is None else mi.Float(self.encoding.initial(rng))
-        )
+        grid = None if self.encoding is None else mi.Float(self.encoding.initial(rng))
+        return FieldParameters(weights, grid)
 
     def bind(self, pose: mi.Float, parameters: FieldParameters) -> BoundField:
         """The field at one pose. Pose features are computed and folded into biases and matrices once for all
@@ -146,10 +144,7 @@ class BoundField:
                 sigma, _ = self.batched(u, some, mi.Normal3f(some))
             else:
                 if self._density_views is None:
-                    detached = {
-                        name: (dr.detach(weight), dr.detach(bias))
-                        for name, (weight, bias) in self._tensors.items()
-                    }
+                    detached = {name: dr.detach(pair) for name, pair in self._tensors.items()}
                     self._density_views = pack(detached)
                 sigma, _ = self._evaluate(Fused(self._density_views), u, some, mi.Normal3f(some), active)
             dr.eval(sigma)

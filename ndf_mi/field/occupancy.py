@@ -44,9 +44,8 @@ class Occupancy:
         with dr.suspend_grad():
             occupied = dr.gather(mi.Float, self.values, self._cell(u)) > self._threshold
             # The default of four rounds keeps 3 % too many of neighbouring numbers.
-            chance = mi.sample_tea_float32(
-                dr.arange(mi.UInt32, dr.width(u)), dr.opaque(mi.UInt32, self._salt), 8
-            )
+            lane, salt = dr.arange(mi.UInt32, dr.width(u)), dr.opaque(mi.UInt32, self._salt)
+            chance = mi.sample_tea_float32(lane, salt, 8)
             return occupied | (chance < self.explore), dr.select(occupied, mi.Float(1.0), 1.0 / self.explore)
 
     def observe(self, u: mi.Point3f, sigma: mi.Float, active: mi.Bool) -> None:

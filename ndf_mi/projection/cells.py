@@ -19,11 +19,10 @@ SLACK = 0.2
 
 
 class Cells:
-    """Cells of a quarter of the band over the box [low, high].
+    """Cells of about a quarter of the band over the box [low, high].
 
     Every cell that a point of the band can lie in stores a leaf that is almost the closest to its centre, and
     which parts of the tree can hold a closer one for any point of the cell
-    (:func:`ndf_mi.projection.search.pending`). So searches begin with a good bound and skip what the cell
     rules out.
 
     Args:
@@ -82,9 +81,8 @@ class Cells:
 
     def _block_corner(self, block: mi.UInt32) -> mi.Point3f:
         row = block // self._blocks.x
-        return mi.Point3f(
-            mi.Point3u(block - row * self._blocks.x, row % self._blocks.y, row // self._blocks.y)
-        )
+        y, z = row % self._blocks.y, row // self._blocks.y
+        return mi.Point3f(mi.Point3u(block - row * self._blocks.x, y, z))
 
     def _begin(
         self, centre: mi.Point3f, half: float, band: float, frame: Frame, boxes: Boxes, node: mi.UInt32,

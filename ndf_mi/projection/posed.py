@@ -11,8 +11,7 @@ import numpy as np
 from ndf_mi.errors import InputError
 from ndf_mi.projection.cells import Cells
 from ndf_mi.projection.local import CORNER_0, CORNER_1, EDGE_0, EDGE_2, Local, closest_on_triangle, unit
-from ndf_mi.projection.normals import face_normals, vertex_normals
-from ndf_mi.projection.refit import Frame, refit
+from ndf_mi.projection.refit import Frame, face_normals, refit, vertex_normals
 from ndf_mi.projection.search import closest_pair
 from ndf_mi.projection.surface import Surface
 
@@ -85,9 +84,8 @@ class PosedSurface:
             pad = self.band + 1e-3 * self.band + 1e-6 * float(np.abs(positions).max())
             # Opaque, or another band would mean another kernel.
             self._delta = dr.opaque(mi.Float, self.band)
-            self.bbox = mi.BoundingBox3f(
-                mi.Point3f(*(low - pad).tolist()), mi.Point3f(*(high + pad).tolist())
-            )
+            corners = (mi.Point3f(*corner.tolist()) for corner in (low - pad, high + pad))
+            self.bbox = mi.BoundingBox3f(*corners)
             self._frame = Frame(low, high, self.band)
             self._boxes = refit(surface, detached, self._frame)
             self._face_normals = face_normals(surface, detached)
@@ -135,31 +133,28 @@ class PosedSurface:
         self, triangle: mi.UInt32, corner: list[mi.UInt32], local: Local, active: mi.Bool
     ) -> tuple[mi.Vector3f, mi.Float, mi.Vector3f]:
         """Pseudonormal, signed distance and its gradient (Bærentzen and Aanæs, "Signed distance computation
-        using the angle weighted pseudonormal", 2005). Where rounding hides the direction to an edge or a
-        corner, the gradient is the pseudonormal."""
+        using the angle weighted pseudonormal", 2005); the pseudonormal where rounding hides the direction."""
         offset, feature = dr.detach(local.offset), local.feature
         own = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, triangle, active))
         on_edge = (feature >= EDGE_0) & (feature <= EDGE_2)
         on_corner = feature >= CORNER_0
         edge = dr.select(on_edge, feature - EDGE_0, 0)
         across = dr.gather(mi.UInt32, self.surface.neighbours, 3 * triangle + edge, active & on_edge)
-        other = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, across, active & on_edge))
-        vertex = dr.select(
-            feature == CORNER_0, corner[0], dr.select(feature == CORNER_1, corner[1], corner[2])
-        )
+        neighbour = mi.Vector3f(dr.gather(mi.Point3f, self._face_normals, across, active & on_edge))
+        other = dr.select(feature == CORNER_1, corner[1], corner[2])
+        vertex = dr.select(feature == CORNER_0, corner[0], other)
         around = mi.Vector3f(dr.gather(mi.Point3f, self._vertex_normals, vertex, active & on_corner))
-        normal = dr.select(on_edge, unit(own + other, own), dr.select(on_corner, around, own))
+        normal = dr.select(on_edge, unit(own + neighbour, own), dr.select(on_corner, around, own))
         distance = dr.norm(offset)
         sign = dr.select(dr.dot(offset, normal) < 0, mi.Float(-1), mi.Float(1))
         # The offset is known to the edges' length times 6e-8. A triangle without a normal has nothing else.
         directed = (dr.squared_norm(offset) > _ROUNDING**2 * local.size2) | (dr.squared_norm(normal) == 0)
-        slope = dr.select(
-            on_edge | on_corner, dr.select(directed, unit(offset, sign * normal) * sign, normal), own
-        )
+        slope = dr.select(directed, unit(offset, sign * normal) * sign, normal)
+        slope = dr.select(on_edge | on_corner, slope, own)
         return normal, sign * distance, slope
 
     def _closest(self, x: mi.Point3f, active: mi.Bool | bool) -> tuple[mi.UInt32, mi.Bool]:
-        """The closest triangle, 0 where there is none; and whether there is one."""
+        """The closest triangle and whether there is one; 0 where there is none."""
         with dr.suspend_grad():
             x = mi.Point3f(dr.detach(x))
             cell, inside = self._cells.locate(x)
@@ -178,11 +173,8 @@ class PosedSurface:
         return closest_pair(self._boxes, self._frame.to_units(x), bound, node, trail)[1]
 
     def _search_sorted(self, x: mi.Point3f, cell: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """As :meth:`_search`, with the queries sorted by cell, so that neighbouring lanes walk the same
-        nodes.
-
-        A counting sort. The order within a cell is undefined; results do not depend on it.
-        """
+        """As :meth:`_search`, with the queries sorted by cell (a counting sort), so that neighbouring lanes
+        walk the same nodes. The order within a cell is undefined; results do not depend on it."""
         count = dr.width(x)
         histogram = dr.zeros(mi.UInt32, self._cells.count)
         rank = dr.scatter_inc(histogram, cell, active)
@@ -190,13 +182,11 @@ class PosedSurface:
         begin = dr.prefix_sum(histogram)
         none = 0xFFFFFFFF
         order = dr.full(mi.UInt32, none, count)
-        dr.scatter(
-            order, dr.arange(mi.UInt32, count), dr.gather(mi.UInt32, begin, cell, active) + rank, active
-        )
+        place = dr.gather(mi.UInt32, begin, cell, active) + rank
+        dr.scatter(order, dr.arange(mi.UInt32, count), place, active)
         some = order != none
-        found = self._search(
-            dr.gather(mi.Point3f, x, order, some), dr.gather(mi.UInt32, cell, order, some), some
-        )
+        x, cell = dr.gather(mi.Point3f, x, order, some), dr.gather(mi.UInt32, cell, order, some)
+        found = self._search(x, cell, some)
         result = dr.full(mi.UInt32, 2 * self.surface.leaves, count)
         dr.scatter(result, found, order, some)
         return result

@@ -7,6 +7,7 @@ Lengths are in the tree's own units (:class:`ndf_mi.projection.refit.Frame`). No
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -14,6 +15,10 @@ import mitsuba as mi
 WORDS = 8
 """Words of an internal node: three words of (upper bound << 16) | lower bound, one an axis, for each of two
 children. Two stay empty, as aligned words are read four at a time."""
+
+
+State: TypeAlias = "tuple[mi.UInt32, mi.UInt32, mi.Float, mi.UInt32]"
+"""Node, trail, squared distance of the best triangle and its number."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +53,12 @@ def _read4(array: mi.Float | mi.UInt32, index: mi.UInt32) -> list[mi.Float]:
 
 
 def larger(a: mi.Float, b: mi.Float | float) -> mi.Float:
-    """The larger of two numbers; one instruction, where ``dr.maximum`` spends several on NaN."""
+    """One instruction, where ``dr.maximum`` spends several on NaN."""
     return dr.select(a > b, a, b)
 
 
 def smaller(a: mi.Float, b: mi.Float | float) -> mi.Float:
-    """The smaller of two numbers, as :func:`larger`."""
+    """As :func:`larger`."""
     return dr.select(a < b, a, b)
 
 
@@ -122,14 +127,10 @@ def closest_pair(
     boxes: Boxes, q: mi.Point3f, bound2: mi.Float, node: mi.UInt32, trail: mi.UInt32, slack: float = 0
 ) -> tuple[mi.Float, mi.UInt32]:
     """Walks the tree from ``node``, the nearer child first. As the tree is complete, pending siblings are
-    bits of a word.
-
-    After Áfra and Szirmay-Kalos, "Stackless Multi-BVH Traversal for CPU, MIC and GPU Ray Tracing" (2014), for
-    distances.
+    bits of a word (after Áfra and Szirmay-Kalos, "Stackless Multi-BVH Traversal for CPU, MIC and GPU Ray
+    Tracing", 2014).
 
     Args:
-        boxes: the tree.
-        q: the queries.
         bound2: squared distance beyond which nothing is searched.
         node: where to begin: the root, or a leaf that is likely to be close, which is tested first. 0 in
             lanes without a query.
@@ -143,16 +144,12 @@ def closest_pair(
     """
     leaves = boxes.leaves
 
-    def leaf(
-        node: mi.UInt32, trail: mi.UInt32, best: mi.Float, found: mi.UInt32
-    ) -> tuple[mi.UInt32, mi.UInt32, mi.Float, mi.UInt32]:
+    def leaf(node: mi.UInt32, trail: mi.UInt32, best: mi.Float, found: mi.UInt32) -> State:
         best, found = _test_leaf(boxes, q, node - leaves, best, found)
         node, trail = _pop(node, trail)
         return node, trail, best, found
 
-    def step(
-        node: mi.UInt32, trail: mi.UInt32, best: mi.Float, found: mi.UInt32
-    ) -> tuple[mi.UInt32, mi.UInt32, mi.Float, mi.UInt32]:
+    def step(node: mi.UInt32, trail: mi.UInt32, best: mi.Float, found: mi.UInt32) -> State:
         node, trail, best, found = dr.if_stmt(
             (node, trail, best, found), node >= leaves, leaf, lambda *state: state, label="closest: leaf"
         )

@@ -86,9 +86,8 @@ class Image:
     def over(self, background: np.ndarray) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1], composited in linear light over an sRGB background (3,)."""
         behind = srgb_to_linear(np.asarray(background, dtype=np.float32))
-        return np.clip(
-            linear_to_srgb(self.linear + (1.0 - self.opacity[..., None]) * behind), 0.0, 1.0
-        ).astype(np.float32)
+        picture = linear_to_srgb(self.linear + (1.0 - self.opacity[..., None]) * behind)
+        return np.clip(picture, 0.0, 1.0).astype(np.float32)
 
 
 @dataclass
@@ -136,13 +135,8 @@ class ImageRenderer:
     def _rounds(
         self, volume: VolumeField, camera: RaySource, pixels: np.ndarray, ray: int, geometry: bool, work: Work
     ) -> np.ndarray:
-        """One ray a pixel: (5 or 11, h·w) colour, opacity, and, multiplied by the opacity, depth and, if
-        asked for, (u, v, l) and normal.
-
-        Args:
-            ray: which of the pixel's rays.
-            work: counts are added to it.
-        """
+        """Ray number `ray` of each pixel: (5 or 11, h·w) colour, opacity, and, multiplied by the opacity,
+        depth and, if asked for, (u, v, l) and normal. Adds its counts to `work`."""
         rounds, count, tile = self.tiling(volume.sample_factor, len(pixels))
         out = np.zeros((11 if geometry else 5, camera.h * camera.w), dtype=np.float32)
         transmittance = np.ones(camera.h * camera.w, dtype=np.float32)
@@ -154,19 +148,15 @@ class ImageRenderer:
                 index = mi.UInt32(padded)
                 rays = self._rays(camera, index, _place(ray))
                 # Rays of the padding end where they start, and so cost next to nothing.
-                rays.maxt = dr.select(
-                    dr.arange(mi.UInt32, tile) < dr.opaque(mi.UInt32, len(chosen)), dr.inf, 0.0
-                )
-                jitter = (
-                    dr.repeat(_shift(index, ray), count * volume.sample_factor) if self.stratified else None
-                )
-                seen = quadrature(
-                    volume, rays, self.samples, jitter=jitter, window=(number * count, count),
-                    geometry=geometry,
-                )
+                real = dr.arange(mi.UInt32, tile) < dr.opaque(mi.UInt32, len(chosen))
+                rays.maxt = dr.select(real, dr.inf, 0.0)
+                lanes = count * volume.sample_factor
+                jitter = dr.repeat(_shift(index, ray), lanes) if self.stratified else None
+                window = (number * count, count)
+                seen = quadrature(volume, rays, self.samples, jitter=jitter, window=window, geometry=geometry)
                 work.tiles += 1
-                work.lanes += tile * count * volume.sample_factor
-                work.candidates += len(chosen) * count * volume.sample_factor
+                work.lanes += tile * lanes
+                work.candidates += len(chosen) * lanes
                 work.evaluated += seen.evaluated
                 work.launched += dr.width(seen.inside)
                 rows = [*seen.colour, seen.opacity, seen.depth]
@@ -176,10 +166,9 @@ class ImageRenderer:
                 values = np.stack([row.numpy()[: len(chosen)] for row in rows])
                 broken = np.count_nonzero(~np.isfinite(values).all(0))
                 if broken:
-                    raise InputError("the field", f"NaN or infinity along {broken} "
-                                                  "rays", "finite densities and colours",
-                                     "Half precision ends at 65,504 in hidden layers: leave out `--networks "
-                                     "half`.")
+                    repair = "Half precision ends at 65,504 in hidden layers: leave out `--networks half`."
+                    found = f"NaN or infinity along {broken} rays"
+                    raise InputError("the field", found, "finite densities and colours", repair)
                 values[4:] *= values[3]
                 out[:, chosen] += transmittance[chosen] * values
                 transmittance[chosen] *= 1 - values[3]

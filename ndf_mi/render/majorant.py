@@ -78,9 +78,8 @@ def densities(volume: VolumeField, points: np.ndarray) -> np.ndarray:
             x = mi.Point3f(padded.T)
             located = volume.locate(x, volume.may_contain(x))
             dr.eval(located)
-            result[start : start + count] = volume.evaluate(x, d, located, located.valid).sigma.numpy()[
-                :count
-            ]
+            sigma = volume.evaluate(x, d, located, located.valid).sigma
+            result[start : start + count] = sigma.numpy()[:count]
     return result
 
 

@@ -93,11 +93,9 @@ def measure(
     change of the machine's pace is spread over all settings.
 
     Args:
-        run: the run.
         size: width and height of the images that the profile is for.
         geometry: whether (u, v, l) and normals are rendered as well.
         report: receives progress messages.
-        plan: what is measured.
         clock: seconds.
     """
     whole, half = _sizes(size)
@@ -127,12 +125,12 @@ def measure(
                 seconds[index][number].append(view.seconds(setting, pixels, geometry, clock))
     samples = []
     for (_, setting), work, error, times in zip(jobs, works, errors, seconds, strict=True):
-        counts = {
-            name: statistics.mean(getattr(one, name) for one in work)
-            for name in ("tiles", "lanes", "evaluated", "launched")}
-        samples.append(Sample(
-            setting.samples, setting.cutoff, **counts, seconds=statistics.mean(map(statistics.median, times)),
-            error=statistics.mean(error) if error else None))
+        counts = {name: statistics.mean(getattr(one, name) for one in work)
+                  for name in ("tiles", "lanes", "evaluated", "launched")}
+        mean_error = statistics.mean(error) if error else None
+        mean_time = statistics.mean(map(statistics.median, times))
+        samples.append(
+            Sample(setting.samples, setting.cutoff, **counts, seconds=mean_time, error=mean_error))
     return Profile(samples, statistics.mean(opacities))
 
 
@@ -166,8 +164,6 @@ def _sizes(size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
 
 def _views(run: Run, azimuths: tuple[float, ...]) -> list[_View]:
     """A view for each azimuth, at frames spread over the run's."""
-    frames = run.poses.frames
+    frames, last = run.poses.frames, len(run.poses.frames) - 1
     steps = max(len(azimuths) - 1, 1)
-    return [
-        _View(run, int(frames[i * (len(frames) - 1) // steps]), azimuth) for i, azimuth in enumerate(azimuths)
-    ]
+    return [_View(run, int(frames[i * last // steps]), azimuth) for i, azimuth in enumerate(azimuths)]

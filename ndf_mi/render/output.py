@@ -43,10 +43,8 @@ def write_field_image(path: str | os.PathLike[str], image: FieldImage, backgroun
     if image.u is None or image.normal is None:
         write_png(path, image.over(background))
         return
-    channels = dict(zip("RGB", np.moveaxis(image.linear, -1, 0), strict=True)) | {
-        "A": image.opacity,
-        "depth.T": image.depth,
-    }
+    channels = {name: image.linear[..., i] for i, name in enumerate("RGB")}
+    channels |= {"A": image.opacity, "depth.T": image.depth}
     channels |= {f"uvl.{n}": image.u[..., i] for i, n in enumerate("UVL")}
     channels |= {f"normal.{n}": image.normal[..., i] for i, n in enumerate("XYZ")}
     write_exr(path, channels)

@@ -45,7 +45,18 @@ class NeuralField(Protocol):
         ...
 
     def nest(self, layers: int, cell: float) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[mi.Medium]]:
-        """Nested shells around the field, and the medium between each and the next."""
+        """Nested shells around the field with its present parameters, and the medium between each and the
+        next.
+
+        Args:
+            layers: largest number of shells.
+            cell: spacing in metres of the grid that they are cut from.
+
+        Returns:
+            the shells from the outermost on, as vertices and faces, and as many media. These share the
+            field's parameters, which the first exposes, and its phase function; their majorants follow
+            changes of the parameters.
+        """
         ...
 
 
@@ -83,16 +94,12 @@ def performers(scene: mi.Scene, integrator: str) -> list[Performer]:
         for medium in (shape.interior_medium(), shape.exterior_medium()):
             if medium is not None:
                 field = _expect_field(medium, f"{integrator}: {_name(shape)}")
-                found.setdefault(
-                    (os.path.realpath(field.run.path), field.frame, field.scale, *field.offset.tolist()),
-                    field,
-                )
+                path = os.path.realpath(field.run.path)
+                found.setdefault((path, field.frame, field.scale, *field.offset.tolist()), field)
         if shape.interior_medium() is not None and not lets_light_in(shape.bsdf()):
-            raise InputError(
-                f"{integrator}: {_name(shape)}",
-                f"the BSDF {shape.bsdf().class_name()} around an `ndf` medium",
-                'one that lets light in: `<bsdf type="null"/>`',
-            )
+            bsdf = f"the BSDF {shape.bsdf().class_name()} around an `ndf` medium"
+            expected = 'one that lets light in: `<bsdf type="null"/>`'
+            raise InputError(f"{integrator}: {_name(shape)}", bsdf, expected)
     for sensor in scene.sensors():
         if sensor.get_medium() is not None:
             _expect_field(sensor.get_medium(), f"{integrator}: the sensor's medium")
@@ -131,10 +138,9 @@ def lets_light_in(bsdf: mi.BSDF) -> bool:
 
 def _expect_field(medium: mi.Medium, where: str) -> NeuralField:
     if not isinstance(medium, FieldMedium):
-        raise InputError(
-            where, f"a medium of the class {medium.class_name()}", "no media but `ndf`",
-            "Only performers are integrated along rays: remove the medium, or render with `volpath`.",
-        )
+        repair = "Only performers are integrated along rays: remove the medium, or render with `volpath`."
+        found = f"a medium of the class {medium.class_name()}"
+        raise InputError(where, found, "no media but `ndf`", repair)
     return medium.neural_field
 
 

@@ -81,15 +81,8 @@ def cache_folder() -> Path:
 
 def load_or_measure(run: Run, size: tuple[int, int], geometry: bool, report: Callable[[str], None],
                     measure: Callable[..., Profile] = measure) -> Profile:
-    """The stored profile, or a new one, which is then stored.
-
-    Args:
-        run: the run.
-        size: width and height of the images.
-        geometry: whether (u, v, l) and normals are rendered as well.
-        report: receives progress messages.
-        measure: makes a new profile from run, size, geometry and report.
-    """
+    """The stored profile, or a new one, which is then stored. `measure` makes a new one; the arguments are
+    its."""
     key = Key.of(run, size, geometry)
     stored, reason = read(key)
     if stored is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection
-from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -31,15 +30,10 @@ def aovs(props: mi.Properties, plugin: str, known: Collection[str]) -> list[str]
 
 
 def run(props: mi.Properties) -> Run:
-    """The run that the property `run` names, shared with the other plugins of the scene."""
-    return Run.shared(_folder(props["run"]))
-
-
-def _folder(path: str) -> Path:
-    """The folder of a run named in a scene: as given, or relative to the scene's own folder."""
-    if os.path.isdir(path):
-        return Path(path)
-    return Path(str(mi.file_resolver().resolve(path)))
+    """The run that the property `run` names, as given or relative to the scene's own folder; shared with
+    the other plugins of the scene."""
+    path = props["run"]
+    return Run.shared(path if os.path.isdir(path) else str(mi.file_resolver().resolve(path)))
 
 
 def frame(run: Run, props: mi.Properties) -> int:
@@ -58,7 +52,6 @@ def offset(run: Run, props: mi.Properties) -> np.ndarray:
     if moved.size != 3 or not np.isfinite(moved).all():
         raise InputError("ndf: offset", str(moved.tolist()), "three finite numbers, in metres")
     if moved.any() and run.model.field.preset.coordinates == "world":
-        raise InputError(
-            "ndf: offset", str(moved.tolist()), f"none for {run.path}: its networks take world coordinates"
-        )
+        expected = f"none for {run.path}: its networks take world coordinates"
+        raise InputError("ndf: offset", str(moved.tolist()), expected)
     return moved

@@ -60,9 +60,8 @@ def quadrature(
     ray = mi.Ray3f(ray)
     ray.o = ray.o + dr.zeros(mi.Vector3f, rays)
     ray.d = ray.d + dr.zeros(mi.Vector3f, rays)
-    strata = sample_rays(
-        volume, ray, samples, jitter=jitter, window=window, min_transmittance=min_transmittance
-    )
+    strata = sample_rays(volume, ray, samples, jitter=jitter, window=window,
+                         min_transmittance=min_transmittance)
     sample = strata.sample
     tau = strata.optical_depth(scale)
     weight = dr.exp(-sum_before(tau, strata.count)) * -expm1(-tau)

@@ -134,12 +134,10 @@ def sample_rays(
         dr.eval(located)
         index, located, real, evaluated = _thinned(index, located, located.valid)
         if min_transmittance > 0:
-            sigma = (
-                volume.density(at(index, dr.gather(mi.Float, t, index))[0], located, real) * located.weight
-            )
-            before = dr.block_prefix_sum(
-                scatter(sigma, index, real, rays * count) * delta, count, exclusive=True
-            )
+            x, _ = at(index, dr.gather(mi.Float, t, index))
+            sigma = volume.density(x, located, real) * located.weight
+            tau = scatter(sigma, index, real, rays * count) * delta
+            before = dr.block_prefix_sum(tau, count, exclusive=True)
             seen = real & (dr.gather(mi.Float, before, index, real) < -math.log(min_transmittance))
             index, located, real, evaluated = _thinned(index, located, seen)
 

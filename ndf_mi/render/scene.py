@@ -100,4 +100,5 @@ def _plainly(error: BaseException) -> str:
     text = str(error)
     own = text.rpartition("InputError: ")[2] if "InputError: " in text else text
     lines = (line.strip() for line in own.splitlines())
-    return " ".join(line for line in lines if line and not line.startswith(("File ", "Traceback", "At:", "^")))
+    frames = ("File ", "Traceback", "At:", "^")
+    return " ".join(line for line in lines if line and not line.startswith(frames))

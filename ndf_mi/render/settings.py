@@ -70,8 +70,8 @@ class Setting:
         """(h, w, 3) float32 sRGB in [0, 1] over the run's background, at the camera's full resolution."""
         picture = self.image(run, frame, camera).over(run.background)
         if picture.shape[:2] != (camera.h, camera.w):
-            picture = resize(picture, (camera.h, camera.w), order=1, mode="edge", anti_aliasing=False).astype(
-                np.float32)
+            size = (camera.h, camera.w)
+            picture = resize(picture, size, order=1, mode="edge", anti_aliasing=False).astype(np.float32)
         dr.sync_thread()
         return picture
 

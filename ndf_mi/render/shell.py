@@ -100,12 +100,9 @@ class Distances:
         outside = np.where(np.isfinite(self.distance), outside, band)
         padded = np.pad(outside, 1, mode="edge")
         total = np.zeros([n + 1 for n in self.grid.shape], dtype=np.float32)
-        for i in (0, 1):
-            for j in (0, 1):
-                for k in (0, 1):
-                    total += padded[i::PARTS, j::PARTS, k::PARTS][
-                        : total.shape[0], : total.shape[1], : total.shape[2]
-                    ]
+        nx, ny, nz = total.shape
+        for i, j, k in np.ndindex(2, 2, 2):
+            total += padded[i::PARTS, j::PARTS, k::PARTS][:nx, :ny, :nz]
         return total / 8
 
 
@@ -113,7 +110,6 @@ def distances(surface: Surface, vertices: mi.Float, band: float, cell: float) ->
     """Samples the distance from a posed body on a grid around its band.
 
     Args:
-        surface: the body's triangles.
         vertices: flat (3·V) posed positions in metres.
         band: the band's half width in metres.
         cell: the grid's spacing in metres.
@@ -135,9 +131,8 @@ def distances(surface: Surface, vertices: mi.Float, band: float, cell: float) ->
         low, step = mi.Point3f(*(float(v) for v in grid.low)), cell / PARTS
         for start in range(0, distance.size, CHUNK):
             index = dr.arange(mi.UInt32, min(CHUNK, distance.size - start)) + dr.opaque(mi.UInt32, start)
-            index = dr.gather(
-                mi.UInt32, index, dr.compress(posed.may_contain(_centre(index, shape, low, step)))
-            )
+            near = dr.compress(posed.may_contain(_centre(index, shape, low, step)))
+            index = dr.gather(mi.UInt32, index, near)
             if not len(index):
                 continue
             x = _centre(index, shape, low, step)
@@ -207,7 +202,6 @@ def band_shell(
     lies deeper. It extends at most two cells beyond the band.
 
     Args:
-        surface: the body's triangles.
         vertices: flat (3·V) posed positions in metres.
         band: how far the band reaches outside, in metres.
         cell: the grid's spacing in metres.
@@ -232,7 +226,6 @@ def band_points(
     `band`; nearly all lie in its band.
 
     Args:
-        surface: the body's triangles.
         vertices: (V, 3) posed positions in metres.
         band, inside: metres.
     """

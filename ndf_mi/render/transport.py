@@ -74,10 +74,8 @@ class _Medium:
     def optical_depth(self, ray: mi.UInt32, t: mi.Float) -> mi.Float:
         """From each ray's origin to the distance t; linear within strata, constant outside."""
         strata = self.strata
-        width = dr.gather(mi.Float, strata.width, ray)
-        place = dr.clip(
-            (t - dr.gather(mi.Float, strata.near, ray)) / dr.maximum(width, 1e-20), 0.0, float(strata.count)
-        )
+        width, near = dr.gather(mi.Float, strata.width, ray), dr.gather(mi.Float, strata.near, ray)
+        place = dr.clip((t - near) / dr.maximum(width, 1e-20), 0.0, float(strata.count))
         stratum = dr.minimum(mi.UInt32(place), strata.count - 1)
         part = place - mi.Float(stratum)
         index = ray * strata.count + stratum
@@ -109,14 +107,13 @@ class Transport:
         jitter: mi.Float | None = None,
     ) -> Crossing:
         """Radiance and transmittance of the segments ``[0, ray.maxt]`` of N rays (evaluated; directions of
-        unit length).
+        unit length). Inactive segments have radiance 0 and transmittance 1.
 
         Only rays that cross a field's box are integrated; the others cost one test of each box.
         Differentiable, by plain automatic differentiation, in everything that the fields' `evaluate` is
-        attached to, but not in the rays. Inactive segments have radiance 0 and transmittance 1.
+        attached to, but not in the rays.
 
         Args:
-            performers: the fields, each of them once.
             jitter: N numbers in [0, 1): where in its stratum every sample of a ray lies; None for the
                 centres.
         """
@@ -128,9 +125,8 @@ class Transport:
             for hit in crossed:
                 number += dr.select(hit, mi.UInt32(1), 0)
             # Most rays cross one box. Only those that cross several pay for all fields.
-            groups = [
-                ([performer], hit & (number == 1)) for performer, hit in zip(performers, crossed, strict=True)
-            ]
+            alone = zip(performers, crossed, strict=True)
+            groups = [([performer], hit & (number == 1)) for performer, hit in alone]
             if len(performers) > 1:
                 groups.append((list(performers), number > 1))
             dr.eval([mask for _, mask in groups])
@@ -164,9 +160,8 @@ class Transport:
         rows = [dr.zeros(mi.Float, dr.width(index)) for _ in range(5)]
         for one in media:
             weight = _weights(one, [other for other in media if other is not one])
-            for place, value in enumerate(
-                (one.tau, weight * one.strata.t, *(weight * c for c in one.colour))
-            ):
+            values = one.tau, weight * one.strata.t, *(weight * c for c in one.colour)
+            for place, value in enumerate(values):
                 rows[place] += block_sum(value, one.strata.count)
         dr.eval(rows)
         return rows

@@ -63,14 +63,13 @@ class Choice:
         s = self.setting
         rays = "one ray" if s.spp == 1 else f"{s.spp} rays"
         least, most = ("at least ", "at most ") if self.bound else ("", "")
-        loss = (
-            "" if self.loss is None
-            else f", {most}{self.loss:.2g} dB below what the run reaches on photographs")
+        loss = ""
+        if self.loss is not None:
+            loss = f", {most}{self.loss:.2g} dB below what the run reaches on photographs"
         return (
             f"{s.samples} samples per ray, {rays} per pixel, rays followed to a transmittance of "
             f"{s.cutoff:g}: expected to take {self.seconds:.3g} s, {least}{self.psnr:.1f} dB from "
-            f"convergence{loss}"
-        )
+            f"convergence{loss}")
 
 
 def parse_seconds(text: str) -> float:
@@ -99,7 +98,6 @@ def training_error(run: Run, opacity: float) -> float | None:
     rays is (s + (1 − s) b) / b times that of the box.
 
     Args:
-        run: the run; its training is taken from its configuration and log.
         opacity: b, the fraction of the box's pixels that the performer covers.
 
     Returns:
@@ -153,9 +151,8 @@ def choose(
         report(f"more than {best.seconds:.3g} s does not improve an image of this size")
     enough = min((c for c in choices if c.psnr >= best.psnr), key=lambda c: c.seconds)
     if best.bound and enough.loss is not None and enough.loss < NEGLIGIBLE_LOSS:
-        report(
-            f"{enough.setting.samples} samples per ray take {enough.seconds:.3g} s and lose at most "
-            f"{enough.loss:.2g} dB")
+        report(f"{enough.setting.samples} samples per ray take {enough.seconds:.3g} s and lose at most "
+               f"{enough.loss:.2g} dB")
     return best
 
 
@@ -175,11 +172,8 @@ def candidates(
     for setting in (Setting(samples, cutoff) for cutoff in model.cutoffs for samples in SAMPLES):
         error = model.error(setting)
         loss = None if own is None else 10 * math.log10(1 + error / own)
-        found.append(
-            Choice(
-                setting, slowdown * model.seconds(setting, statistics), -10 * math.log10(error), loss,
-                model.beyond(setting))
-        )
+        seconds, psnr = slowdown * model.seconds(setting, statistics), -10 * math.log10(error)
+        found.append(Choice(setting, seconds, psnr, loss, model.beyond(setting)))
     return found
 
 
@@ -193,10 +187,8 @@ def within_budget(choices: Sequence[Choice], budget: float) -> Choice:
     fitting = [choice for choice in choices if choice.seconds <= budget]
     if not fitting:
         least = min(choice.seconds for choice in choices)
-        raise InputError(
-            "--budget", f"{budget:g} s",
-            f"at least {_round_up(least)} s for an image of this size on this machine",
-            "A smaller --size takes less.")
+        expected = f"at least {_round_up(least)} s for an image of this size on this machine"
+        raise InputError("--budget", f"{budget:g} s", expected, "A smaller --size takes less.")
     return max(fitting, key=lambda c: (c.psnr, c.setting.samples * c.bound, -c.seconds))
 
 

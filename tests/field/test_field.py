@@ -1,4 +1,5 @@
-"""The networks against a float64 evaluation in numpy, written from the paper's table, and against finite differences."""
+"""The networks against a float64 evaluation in numpy, written from the paper's table, and against finite
+differences."""
 
 import dataclasses
 
@@ -23,7 +24,8 @@ def inputs(n=200, seed=0):
 def evaluate(field, parameters, u, d, pose, mode):
     bound = field.bind(mi.Float(pose.astype(np.float32)), parameters)
     n = d[[2, 0, 1]]
-    arguments = mi.Point3f(u.astype(np.float32)), mi.Vector3f(d.astype(np.float32)), mi.Normal3f(n.astype(np.float32))
+    u, d, n = (values.astype(np.float32) for values in (u, d, n))
+    arguments = mi.Point3f(u), mi.Vector3f(d), mi.Normal3f(n)
     if mode == "fused":
         bound.pack()
     return getattr(bound, mode)(*arguments)
@@ -41,14 +43,16 @@ def gamma(x, octaves):
 
 
 class PaperInNumpy:
-    """The published architecture, layer by layer, reading its matrices off the flat vector one after another."""
+    """The published architecture, layer by layer, reading its matrices off the flat vector one after another.
+    """
 
     def __init__(self, weights):
         self.rest = weights.astype(np.float64)
 
     def layer(self, inputs, outputs):
         count = inputs * outputs
-        w, b, self.rest = self.rest[:count].reshape(outputs, inputs), self.rest[count : count + outputs], self.rest[count + outputs :]
+        w, b, self.rest = np.split(self.rest, (count, count + outputs))
+        w = w.reshape(outputs, inputs)
         return lambda x: w @ x + b[:, None]
 
     def __call__(self, u, d, pose, limit):
@@ -116,14 +120,16 @@ def test_batched_and_fused_agree_in_value_and_gradient(name):
 def test_gradients_agree_with_finite_differences(name):
     field = Field(preset(name), JOINTS)
     u, d, pose = inputs(2000)
-    values = {key: value.astype(np.float64) for key, value in with_grid_times(field.initial_parameters(2), 3e3).arrays().items()}
+    values = {key: value.astype(np.float64)
+              for key, value in with_grid_times(field.initial_parameters(2), 3e3).arrays().items()}
     for layer in field.layers.values():
         # Products start at zero, through which no gradient would get to the pose's layers.
-        values["weights"][layer.offset + layer.affine : layer.offset + layer.size] = np.random.default_rng(6).normal(
-            0, 0.2, layer.size - layer.affine)
+        products = np.random.default_rng(6).normal(0, 0.2, layer.size - layer.affine)
+        values["weights"][layer.offset + layer.affine : layer.offset + layer.size] = products
 
     def evaluate_at(which, change):
-        changed = {key: mi.Float((value + (change if key == which else 0)).astype(np.float32)) for key, value in values.items()}
+        changed = {key: mi.Float((value + (change if key == which else 0)).astype(np.float32))
+                   for key, value in values.items()}
         leaf = changed[which]
         dr.enable_grad(leaf)
         sigma, colour = evaluate(field, FieldParameters(**changed), u, d, pose, "batched")
@@ -133,9 +139,11 @@ def test_gradients_agree_with_finite_differences(name):
         out, leaf = evaluate_at(which, 0)
         dr.backward(dr.sum(out))
         gradient = dr.grad(leaf).numpy().astype(np.float64)
-        # A random direction in the gradient's orthant: entries add up instead of cancelling, so that rounding stays small.
+        # A random direction in the gradient's orthant: entries add up instead of cancelling, so that rounding
+        # stays small.
         direction = scale * np.random.default_rng(5).uniform(0, 1, gradient.size) * np.sign(gradient)
-        ahead, behind = (evaluate_at(which, step * direction)[0].numpy().astype(np.float64).sum() for step in (1, -1))
+        ahead, behind = (evaluate_at(which, step * direction)[0].numpy().astype(np.float64).sum()
+                         for step in (1, -1))
         assert (ahead - behind) / 2 == pytest.approx(float(gradient @ direction), rel=1e-2)
 
 
@@ -143,22 +151,26 @@ def test_density_stays_below_the_majorant_however_large_the_weights():
     for name in PRESETS:
         field = Field(preset(name), JOINTS)
         parameters = field.initial_parameters(1)
-        sigma, colour = evaluate(field, parameters.replace(weights=parameters.weights * 50), *inputs(), "batched")
+        sigma, colour = evaluate(field, parameters.replace(weights=parameters.weights * 50), *inputs(),
+                                 "batched")
         assert np.isfinite(sigma.numpy()).all() and np.isfinite(colour.numpy()).all()
         assert sigma.numpy().max() <= field.preset.density_limit < field.majorant
         assert sigma.numpy().min() >= 0
 
 
 def with_pose_only_in(field, network):
-    """Parameters whose pose columns are zero but in the layers whose names begin so, with effects large enough to be seen."""
+    """Parameters whose pose columns are zero but in the layers whose names begin so, with effects large
+    enough to be seen."""
     parameters = with_grid_times(field.initial_parameters(1), 1e4)
     weights = parameters.weights.numpy()
     for name, layer in field.layers.items():
         if layer.pose and not name.startswith(network):
             columns = layer.inputs + layer.pose
-            weights[layer.offset : layer.offset + layer.outputs * columns].reshape(layer.outputs, columns)[:, layer.inputs :] = 0
+            matrix = weights[layer.offset : layer.offset + layer.outputs * columns]
+            matrix.reshape(layer.outputs, columns)[:, layer.inputs :] = 0
             weights[layer.offset + layer.affine : layer.offset + layer.size] = 0
-    # The first row of the last layer, which is the density's; and the deformation's last layer, which starts at a hundredth.
+    # The first row of the last layer, which is the density's; and the deformation's last layer, which starts
+    # at a hundredth.
     density, deformation = field.layers["density_out"], field.layers["deform_out"]
     weights[density.offset : density.offset + density.inputs] *= 20
     weights[deformation.offset : deformation.offset + deformation.size] *= 100
@@ -176,7 +188,8 @@ def with_pose_only_in(field, network):
     ((), False, False),
 ])  # fmt: skip
 def test_the_pose_reaches_density_deformation_and_colour(name, network, density, colour, mode):
-    """Of every network on its own: with its columns of the pose alone, density and colour change with the pose where they should."""
+    """Of every network on its own: with its columns of the pose alone, density and colour change with the
+    pose where they should."""
     # The published deformation is a thousandth of the unit cube: made larger, it can be told from rounding.
     field = Field(dataclasses.replace(preset(name), deformation_scale=0.1), JOINTS)
     parameters = with_pose_only_in(field, network)
@@ -193,7 +206,8 @@ def test_presets_go_through_dictionaries():
 
 
 @pytest.mark.parametrize(
-    ("change", "word"), [({"band": -1.0}, "band"), ({"encoding": "sphere"}, "encoding"), ({"density_layers": ()}, "density")]
+    ("change", "word"), [({"band": -1.0}, "band"), ({"encoding": "sphere"}, "encoding"),
+                         ({"density_layers": ()}, "density")]
 )
 def test_wrong_options_are_named(change, word):
     with pytest.raises(InputError, match=word):
@@ -210,7 +224,9 @@ def test_the_normal_changes_colour_alone_and_only_where_the_preset_uses_it():
         field = Field(preset(name), JOINTS)
         bound = field.bind(mi.Float(pose.astype(np.float32)), field.initial_parameters(1))
         arguments = mi.Point3f(u.astype(np.float32)), mi.Vector3f(d.astype(np.float32))
-        (sigma, colour), (other_sigma, other_colour) = (bound.batched(*arguments, mi.Normal3f(*n)) for n in ((0, 0, 1), (0, 1, 0)))
+        (sigma, colour), (other_sigma,
+                          other_colour) = (bound.batched(*arguments, mi.Normal3f(*n))
+                                           for n in ((0, 0, 1), (0, 1, 0)))
         assert (sigma.numpy() == other_sigma.numpy()).all()
         assert bool((colour.numpy() != other_colour.numpy()).any()) is expected
 
@@ -218,14 +234,17 @@ def test_the_normal_changes_colour_alone_and_only_where_the_preset_uses_it():
 def test_the_direction_changes_colour_alone_and_only_where_the_preset_uses_it():
     u, d, pose = inputs()
     for octaves in (-1, 0, 2):
-        field = Field(dataclasses.replace(preset("tiny"), direction_octaves=octaves, normal_octaves=-1), JOINTS)
-        there, back = (evaluate(field, field.initial_parameters(3), u, sign * d, pose, "batched") for sign in (1, -1))
+        field = Field(dataclasses.replace(preset("tiny"), direction_octaves=octaves, normal_octaves=-1),
+                      JOINTS)
+        there, back = (evaluate(field, field.initial_parameters(3), u, sign * d, pose, "batched")
+                       for sign in (1, -1))
         assert dr.all(there[0] == back[0])
         assert (np.abs(np.array(there[1]) - np.array(back[1])).max() > 1e-4) == (octaves >= 0)
 
 
 def test_the_mirrored_direction_is_what_highlights_follow():
-    """Colours are those of the direction that light comes from by reflection, however viewer and surface share the turning."""
+    """Colours are those of the direction that light comes from by reflection, however viewer and surface
+    share the turning."""
     u, d, pose = inputs()
     colours = {}
     for kind in ("mirrored", "view"):
@@ -235,7 +254,8 @@ def test_the_mirrored_direction_is_what_highlights_follow():
         for normal in ((0.0, 0.0, 1.0), (0.6, 0.0, -0.8)):
             n = np.array(normal)[:, None]
             viewed = d - 2 * (d * n).sum(0) * n
-            _, colour = bound.batched(mi.Point3f(u.astype(np.float32)), mi.Vector3f(viewed.astype(np.float32)), mi.Normal3f(*normal))
+            _, colour = bound.batched(mi.Point3f(u.astype(np.float32)),
+                                      mi.Vector3f(viewed.astype(np.float32)), mi.Normal3f(*normal))
             found.append(colour.numpy())
         colours[kind] = np.abs(found[0] - found[1]).max()
     assert colours["mirrored"] < 1e-5 and colours["view"] > 1e-3
@@ -243,7 +263,8 @@ def test_the_mirrored_direction_is_what_highlights_follow():
 
 @pytest.mark.parametrize("mode", ["batched", "fused"])
 def test_the_pose_mixes_matrices(mode):
-    """A field at a pose is one without products whose matrices are W + Σ_k f_k·W_k, the features f from numpy."""
+    """A field at a pose is one without products whose matrices are W + Σ_k f_k·W_k, the features f from
+    numpy."""
     shape = dataclasses.replace(preset("tiny"), density_skip=0)
     field, plain = Field(shape, JOINTS), Field(dataclasses.replace(shape, pose_products=False), JOINTS)
     parameters = with_grid_times(field.initial_parameters(3), 1e4)

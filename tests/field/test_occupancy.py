@@ -19,9 +19,11 @@ def test_everything_is_kept_at_first_and_what_stays_empty_is_not():
     dense = u[0] < 0.5
     for step in range(400):
         sample = points(2000, step)
-        occupancy.observe(mi.Point3f(sample), mi.Float(np.where(sample[0] < 0.5, 50, 0.1).astype(np.float32)), mi.Bool(True))
+        occupancy.observe(mi.Point3f(sample), mi.Float(np.where(sample[0] < 0.5, 50, 0.1).astype(np.float32)),
+                          mi.Bool(True))
     kept, weight = (value.numpy() for value in occupancy.keep(mi.Point3f(u)))
-    assert kept[dense].all() and (weight[dense] == 1).all() and (weight[~dense] == 1 / occupancy.explore).all()
+    assert kept[dense].all() and (weight[dense] == 1).all() and (weight[~dense] == 1
+                                                                 / occupancy.explore).all()
     assert abs(kept[~dense].mean() - occupancy.explore) < 0.02
     assert np.mean(occupancy.values.numpy() > 2.0) == 0.5
 

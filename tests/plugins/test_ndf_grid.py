@@ -32,10 +32,12 @@ def filled(values, low):
 def scene_of(medium, low, integrator):
     extent = CELL * (np.array(SHAPE) - 1)
     box = mi.ScalarTransform4f().translate(list(low + extent / 2)).scale(list(extent / 2))
-    look = mi.ScalarTransform4f().look_at(list(low + extent / 2 + [0.3, 0.5, 3.0]), list(low + extent / 2), [0, 1, 0])
+    look = mi.ScalarTransform4f().look_at(list(low + extent / 2 + [0.3, 0.5, 3.0]), list(low + extent / 2),
+                                          [0, 1, 0])
     film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
     return mi.load_dict({
-        "type": "scene", "integrator": {"type": integrator, "max_depth": 5, "rr_depth": 1000}, "sky": {"type": "constant"},
+        "type": "scene", "integrator": {"type": integrator, "max_depth": 5, "rr_depth": 1000},
+        "sky": {"type": "constant"},
         "sun": {"type": "directional", "direction": [0.3, -1, -0.4], "irradiance": 2.0},
         "box": {"type": "cube", "to_world": box, "bsdf": {"type": "null"}, "interior": medium},
         "sensor": {"type": "perspective", "fov": 30, "to_world": look, "film": film},
@@ -43,7 +45,8 @@ def scene_of(medium, low, integrator):
 
 
 def means(scene, count=6):
-    return np.array([mi.render(scene, spp=128, seed=seed).numpy().mean((0, 1)) for seed in range(count)], dtype=np.float64)
+    return np.array([mi.render(scene, spp=128, seed=seed).numpy().mean((0, 1)) for seed in range(count)],
+                    dtype=np.float64)
 
 
 @pytest.mark.parametrize("integrator", ["volpath", "prbvolpath"])
@@ -53,9 +56,12 @@ def test_it_agrees_with_mitsubas_grid_medium(integrator):
     # Mitsuba's grids have their values in the middles of cells.
     size = CELL * np.array(SHAPE)
     placed = mi.ScalarTransform4f().translate(list(low - CELL / 2)).scale(list(size))
-    albedo = np.where(values[..., :1] > 0, values[..., 1:] / np.maximum(values[..., :1], 1e-9), [0.9, 0.6, 0.3])
-    grids = {name: {"type": "gridvolume", "grid": mi.VolumeGrid(np.ascontiguousarray(grid, np.float32)), "to_world": placed,
-                    "wrap_mode": "clamp"} for name, grid in (("sigma_t", values[..., :1]), ("albedo", albedo))}
+    albedo = np.where(values[..., :1] > 0, values[..., 1:] / np.maximum(values[..., :1], 1e-9),
+                      [0.9, 0.6, 0.3])
+    grids = {name: {"type": "gridvolume", "grid": mi.VolumeGrid(np.ascontiguousarray(grid, np.float32)),
+                    "to_world": placed,
+                    "wrap_mode": "clamp"} for name, grid in (("sigma_t", values[..., :1]),
+                                                             ("albedo", albedo))}
     theirs = mi.load_dict({"type": "heterogeneous", **grids})
     a, b = (means(scene_of(medium, low, integrator)) for medium in (ours, theirs))
     noise = np.sqrt(a.var(0, ddof=1) / len(a) + b.var(0, ddof=1) / len(b))
@@ -71,7 +77,8 @@ def test_the_majorant_is_strictly_above_every_density():
 
 
 def kernels_of_a_move() -> tuple[int, int]:
-    """How many kernels a picture launches after the medium was moved and filled again, and how many of them were compiled."""
+    """How many kernels a picture launches after the medium was moved and filled again, and how many of them
+    were compiled."""
     medium = filled(nodes(), (0, 0, 0))
     scene = scene_of(medium, np.zeros(3), "volpath")
     mi.render(scene, spp=4, seed=0)
@@ -79,7 +86,8 @@ def kernels_of_a_move() -> tuple[int, int]:
         dr.kernel_history_clear()
         medium.fill(mi.Float(nodes(1).ravel()), mi.Point3f(0.01, 0.02, 0.0), mi.Float(12.0))
         mi.render(scene, spp=4, seed=1)
-        kernels = [kernel for kernel in dr.kernel_history([dr.KernelType.JIT]) if kernel["execution_time"] >= 0]
+        kernels = [kernel for kernel in dr.kernel_history([dr.KernelType.JIT])
+                   if kernel["execution_time"] >= 0]
     return len(kernels), sum(not kernel["cache_hit"] for kernel in kernels if kernel["size"] > 1)
 
 

@@ -52,7 +52,8 @@ def test_gradients_agree_with_finite_differences(make_run, key):
 
 
 def test_training_through_mi_render_goes_down(make_run):
-    aim, scene = (scene_of(shapes={"p": performer(make_run(name, seed=seed, density_bias=0.0))}, background=1.0, size=8, samples=32)
+    aim, scene = (scene_of(shapes={"p": performer(make_run(name, seed=seed, density_bias=0.0))},
+                           background=1.0, size=8, samples=32)
                   for name, seed in (("target", 5), ("start", 1)))
     target = mi.render(aim, spp=64).numpy()
     params = mi.traverse(scene)
@@ -61,7 +62,8 @@ def test_training_through_mi_render_goes_down(make_run):
     losses = []
     for step in range(12):
         params.update(optimiser)
-        loss = dr.mean(dr.square(mi.render(scene, params, spp=16, seed=step) - mi.TensorXf(target)), axis=None)
+        loss = dr.mean(dr.square(mi.render(scene, params, spp=16, seed=step) - mi.TensorXf(target)),
+                       axis=None)
         dr.backward(loss)
         optimiser.step()
         losses.append(float(loss.array[0]))
@@ -69,7 +71,8 @@ def test_training_through_mi_render_goes_down(make_run):
 
 
 def test_gradients_of_anything_else_are_refused(make_run):
-    scene = scene_of(shapes={"p": performer(make_run()), "floor": diffuse(0.5, FLOOR)}, background=1.0, size=4, samples=16)
+    scene = scene_of(shapes={"p": performer(make_run()), "floor": diffuse(0.5, FLOOR)}, background=1.0,
+                     size=4, samples=16)
     params = mi.traverse(scene)
     key = "floor.bsdf.brdf_0.reflectance.value"
     dr.enable_grad(params[key])
@@ -82,7 +85,8 @@ def test_gradients_of_anything_else_are_refused(make_run):
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    ({"max_depth": 0}, "max_depth"), ({"max_depth": -2}, "max_depth"), ({"rr_depth": 0}, "rr_depth"), ({"samples": 0}, "samples"),
+    ({"max_depth": 0}, "max_depth"), ({"max_depth": -2}, "max_depth"), ({"rr_depth": 0}, "rr_depth"),
+    ({"samples": 0}, "samples"),
     ({"aovs": "albedo"}, "depth, opacity"), ({"sample": 3}, "sample"),
 ])
 def test_wrong_options_are_named(change, words):
@@ -93,9 +97,11 @@ def test_wrong_options_are_named(change, words):
 def test_other_media_are_refused(make_run):
     fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous", "sigma_t": 1.0}}
     with pytest.raises(InputError, match="the shape 'fog'.*omogeneous"):
-        render_scene(scene_of(shapes={"performer": performer(make_run()), "fog": fog}, background=1.0, size=4))
+        render_scene(scene_of(shapes={"performer": performer(make_run()), "fog": fog}, background=1.0,
+                              size=4))
 
 
 def test_a_shell_that_lets_nothing_through_is_refused(make_run):
     with pytest.raises(InputError, match="the shape 'performer'.*null"):
-        render_scene(scene_of(shapes={"performer": performer(make_run(), bsdf="diffuse")}, background=1.0, size=4))
+        render_scene(scene_of(shapes={"performer": performer(make_run(), bsdf="diffuse")}, background=1.0,
+                              size=4))

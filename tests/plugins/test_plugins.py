@@ -1,4 +1,5 @@
-"""The plugins in Mitsuba: against closed forms, Mitsuba's own grid medium, each other, and finite differences."""
+"""The plugins in Mitsuba: against closed forms, Mitsuba's own grid medium, each other, and finite
+differences."""
 
 from pathlib import Path
 
@@ -16,7 +17,8 @@ SCENES = Path(__file__).parents[2] / "scenes"
 BAND, RADIUS = 0.08, 0.3
 
 
-def scene_of(run, integrator="ndf_quadrature", background=1.0, size=24, shell=True, origin=(0, 0, 2.0), scale=1.0, **more):
+def scene_of(run, integrator="ndf_quadrature", background=1.0, size=24, shell=True, origin=(0, 0, 2.0),
+             scale=1.0, **more):
     medium = {"type": "ndf", "run": str(run.path), "frame": 0, "scale": scale}
     shape = {"type": "ndf_shell", "run": str(run.path), "frame": 0} if shell else {
         "type": "cube", "to_world": mi.ScalarTransform4f().scale(RADIUS + BAND + 0.01)}
@@ -26,7 +28,8 @@ def scene_of(run, integrator="ndf_quadrature", background=1.0, size=24, shell=Tr
         "sensor": {
             "type": "perspective", "fov": 28,
             "to_world": mi.ScalarTransform4f().look_at(list(origin), [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
+            "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"},
+                     "pixel_format": "rgb"},
             "sampler": {"type": "independent"},
         },
         "light": {"type": "constant", "radiance": {"type": "rgb", "value": background}},
@@ -43,9 +46,12 @@ def chord(distance):
 def pixel_distances(scene, size):
     """Distances of the pixels' centre rays from the origin."""
     y, x = np.mgrid[:size, :size].astype(np.float32)
-    ray, _ = scene.sensors()[0].sample_ray(0, 0, mi.Point2f(((x.ravel() + 0.5) / size), ((y.ravel() + 0.5) / size)), mi.Point2f(0.5))
+    ray, _ = scene.sensors()[0].sample_ray(0, 0,
+                                           mi.Point2f(((x.ravel() + 0.5) / size), ((y.ravel() + 0.5) / size)),
+                                           mi.Point2f(0.5))
     o, d = np.array(ray.o).reshape(3, -1), np.array(ray.d)
-    return np.linalg.norm(np.cross(o, d, axis=0) if o.shape[1] > 1 else np.cross(o.repeat(size * size, 1), d, axis=0), axis=0)
+    return np.linalg.norm(np.cross(o, d, axis=0) if o.shape[1] > 1
+                          else np.cross(o.repeat(size * size, 1), d, axis=0), axis=0)
 
 
 def test_volpath_agrees_with_the_closed_form_of_absorption(make_constant_run):
@@ -70,7 +76,8 @@ def test_quadrature_agrees_with_the_closed_form_of_emission(make_constant_run, s
     image = mi.render(scene, spp=64).numpy()
     fine = pixel_distances(scene, size * 8).reshape(size, 8, size, 8)
     transmittance = np.exp(-sigma * chord(fine)).mean(axis=(1, 3))
-    expected = (1 - transmittance)[..., None] * srgb_to_linear(np.array(srgb)) + 0.25 * transmittance[..., None]
+    expected = (1 - transmittance)[..., None] * srgb_to_linear(np.array(srgb))
+    expected += 0.25 * transmittance[..., None]
     assert np.abs(image - expected).max() < 0.02
     assert np.abs(image - expected).mean() < 1e-3
 
@@ -78,7 +85,8 @@ def test_quadrature_agrees_with_the_closed_form_of_emission(make_constant_run, s
 def test_skipped_samples_change_no_more_than_their_transmittance(make_constant_run):
     scene = scene_of(make_constant_run(60.0), size=24, samples=200, background=0.25)
     cut = mi.load_dict({"type": "ndf_quadrature", "samples": 200, "min_transmittance": 0.02})
-    whole, part = mi.render(scene, spp=4, seed=1).numpy(), mi.render(scene, integrator=cut, spp=4, seed=1).numpy()
+    whole, part = mi.render(scene, spp=4,
+                            seed=1).numpy(), mi.render(scene, integrator=cut, spp=4, seed=1).numpy()
     assert 0 < np.abs(whole - part).max() < 0.02
 
 
@@ -91,13 +99,14 @@ def test_scattering_agrees_with_mitsubas_grid_medium(make_run, integrator):
     cells, half = 96, RADIUS + BAND + 0.01
     centres = (np.arange(cells) + 0.5) / cells * 2 * half - half
     z, y, x = np.meshgrid(centres, centres, centres, indexing="ij")
-    points = mi.Point3f(x.ravel().astype(np.float32), y.ravel().astype(np.float32), z.ravel().astype(np.float32))
+    points = mi.Point3f(x.ravel().astype(np.float32), y.ravel().astype(np.float32),
+                        z.ravel().astype(np.float32))
     posed = run.posed(0)
     posed.bound.pack()
     # Albedo does depend on the direction; the grid's cannot: take it away by zeroing the direction's columns.
     field = run.model.field
     weights, layer = run.parameters.weights.numpy(), field.layers["colour0"]
-    matrix = weights[layer.offset : layer.offset + layer.outputs * (layer.inputs + layer.pose)].reshape(layer.outputs, -1)
+    matrix = weights[layer.offset :][: layer.outputs * (layer.inputs + layer.pose)].reshape(layer.outputs, -1)
     matrix[:, field.preset.feature_width : layer.inputs] = 0
     run.parameters = run.parameters.replace(weights=mi.Float(weights))
     run.save()
@@ -113,20 +122,25 @@ def test_scattering_agrees_with_mitsubas_grid_medium(make_run, integrator):
         "type": "scene", "integrator": {"type": integrator, "max_depth": 16, "rr_depth": 64},
         "light": {"type": "constant"},
         "sensor": {
-            "type": "perspective", "fov": 28, "to_world": mi.ScalarTransform4f().look_at([0, 0, 2.0], [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}, "pixel_format": "rgb"},
+            "type": "perspective", "fov": 28,
+            "to_world": mi.ScalarTransform4f().look_at([0, 0, 2.0], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"},
+                     "pixel_format": "rgb"},
             "sampler": {"type": "independent"},
         },
         "cube": {
             "type": "cube", "to_world": mi.ScalarTransform4f().scale(half), "bsdf": {"type": "null"},
             "interior": {
                 "type": "heterogeneous", "scale": 1.0,
-                "sigma_t": {"type": "gridvolume", "grid": mi.VolumeGrid(sigma.astype(np.float32)), "to_world": to_world},
-                "albedo": {"type": "gridvolume", "grid": mi.VolumeGrid(albedo.astype(np.float32)), "to_world": to_world},
+                "sigma_t": {"type": "gridvolume", "grid": mi.VolumeGrid(sigma.astype(np.float32)),
+                            "to_world": to_world},
+                "albedo": {"type": "gridvolume", "grid": mi.VolumeGrid(albedo.astype(np.float32)),
+                           "to_world": to_world},
             },
         },
     })
-    means = [np.array([mi.render(s, spp=64, seed=seed).numpy().mean((0, 1)) for seed in range(6)]) for s in (ours, baked)]
+    means = [np.array([mi.render(s, spp=64, seed=seed).numpy().mean((0, 1)) for seed in range(6)])
+             for s in (ours, baked)]
     difference = means[0].mean(0) - means[1].mean(0)
     noise = np.sqrt(sum(m.var(0, ddof=1) / len(m) for m in means))
     # Three standard errors, and what a grid of 96 cells blurs.
@@ -135,18 +149,21 @@ def test_scattering_agrees_with_mitsubas_grid_medium(make_run, integrator):
 
 def test_shell_and_cube_bound_the_same_medium(make_run):
     run = make_run(density_limit=20.0, density_gain=10.0)
-    a, b = (mi.render(scene_of(run, "volpath", shell=shell, size=12, max_depth=6), spp=128).numpy().mean() for shell in (True, False))
+    a, b = (mi.render(scene_of(run, "volpath", shell=shell, size=12, max_depth=6), spp=128).numpy().mean()
+            for shell in (True, False))
     assert a == pytest.approx(b, rel=0.02)
 
 
-@pytest.mark.skipif("single" not in variants.cooperative_precisions(), reason="half precision is all that there is")
+@pytest.mark.skipif("single" not in variants.cooperative_precisions(),
+                    reason="half precision is all that there is")
 @pytest.mark.parametrize("integrator", ["volpath", pytest.param("prbvolpath", marks=pytest.mark.long)])
 def test_a_medium_takes_half_precision_where_there_is_no_other(make_run, monkeypatch, capfd, integrator):
     """As on GPUs: the same picture but for the rounding, and gradients too, with a warning."""
     run = make_run(density_limit=20.0, density_gain=10.0)
     images, gradients, halves = [], [], []
     for precisions in (("single", "half"), ("half",)):
-        monkeypatch.setattr("ndf_mi.variants.cooperative_precisions", lambda precisions=precisions: precisions)
+        monkeypatch.setattr("ndf_mi.variants.cooperative_precisions",
+                            lambda precisions=precisions: precisions)
         scene = scene_of(run, integrator, size=8, max_depth=4)
         halves.append(scene.shapes()[0].interior_medium().posed().bound.half)
         if integrator == "volpath":
@@ -180,7 +197,8 @@ def test_fields_weights_are_parameters_and_train(make_run):
     losses = []
     for step in range(25):
         params.update(opt)
-        loss = dr.mean(dr.square(mi.render(scene, params, spp=32, seed=step) - mi.TensorXf(target)), axis=None)
+        loss = dr.mean(dr.square(mi.render(scene, params, spp=32, seed=step) - mi.TensorXf(target)),
+                       axis=None)
         dr.backward(loss)
         opt.step()
         losses.append(float(loss.array[0]))
@@ -216,7 +234,8 @@ def test_gradients_of_the_quadrature_agree_with_finite_differences(make_run, key
     size = {"weights": 3e-4, "grid": 1e-2, "pose": 1e-3}[key]
     for trial in range(3):
         direction = size * rng.uniform(0, 1, gradient.size) * np.sign(gradient)
-        ahead, behind = ((render(start + sign * direction).numpy().astype(np.float64) * target.numpy()).sum() for sign in (1, -1))
+        ahead, behind = ((render(start + sign * direction).numpy().astype(np.float64) * target.numpy()).sum()
+                         for sign in (1, -1))
         assert (ahead - behind) / 2 == pytest.approx(float(gradient @ direction), rel=1e-2), trial
 
 
@@ -226,7 +245,8 @@ def test_aovs_have_names_and_values(make_constant_run):
     mi.render(scene, spp=1)
     bitmap = scene.sensors()[0].film().bitmap()
     names = [field.name for field in bitmap.struct_()]
-    assert names[3:] == ["depth.T", "opacity.A", "uvl.U", "uvl.V", "uvl.L", "normal.X", "normal.Y", "normal.Z"]
+    assert names[3:] == ["depth.T", "opacity.A", "uvl.U", "uvl.V", "uvl.L", "normal.X", "normal.Y",
+                         "normal.Z"]
     values = dict(zip(names, np.moveaxis(np.array(bitmap), -1, 0), strict=True))
     assert values["opacity.A"][8, 8] > 0.99
     assert values["depth.T"][8, 8] == pytest.approx(2.0 - RADIUS - BAND, abs=0.02)
@@ -256,7 +276,8 @@ def test_shell_contains_the_band_and_is_closed(make_run):
 )
 def test_scenes_load_and_render(make_run, name, change):
     run = make_run(density_limit=20.0, density_gain=10.0)
-    scene = mi.load_file(str(SCENES / name), run=str(run.path), width=16, height=16, origin="0, 0, 2", target="0, 0, 0", **change)
+    scene = mi.load_file(str(SCENES / name), run=str(run.path), width=16, height=16, origin="0, 0, 2",
+                         target="0, 0, 0", **change)
     image = mi.render(scene, spp=4).numpy()
     assert np.isfinite(image).all() and image.std() > 0
 
@@ -278,11 +299,13 @@ def test_wrong_parameters_of_the_medium_are_named(make_run, change, words):
 
 
 def test_wrong_parameters_of_the_integrator_are_named(make_run):
-    for change, word in (({"aovs": "albedo"}, "albedo"), ({"samples": 0}, "samples"), ({"min_transmittance": 1.0}, "min_transmittance"),
+    for change, word in (({"aovs": "albedo"}, "albedo"), ({"samples": 0}, "samples"),
+                         ({"min_transmittance": 1.0}, "min_transmittance"),
                          ({"sample": 3}, "sample")):
         with pytest.raises(Exception, match=word):
             mi.load_dict({"type": "ndf_quadrature", **change})
-    empty = mi.load_dict({"type": "scene", "integrator": {"type": "ndf_quadrature"}, "sensor": {"type": "perspective"}})
+    empty = mi.load_dict({"type": "scene", "integrator": {"type": "ndf_quadrature"},
+                          "sensor": {"type": "perspective"}})
     with pytest.raises(InputError, match="0 `ndf` media"):
         render_scene(empty)
 

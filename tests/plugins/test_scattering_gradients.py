@@ -1,12 +1,14 @@
-"""Gradients of `prbvolpath` through a field, in its weights and hash table, against central differences of independent renders.
+"""Gradients of `prbvolpath` through a field, in its weights and hash table, against central differences of
+independent renders.
 
-Directions are random in the orthant of the gradient (from renders of their own), so that derivatives along them are not lost in noise.
-Differences between differences and gradients are held against three standard errors of both. Light comes mostly from one side, albedo is
-coloured, paths have up to five vertices.
+Directions are random in the orthant of the gradient (from renders of their own), so that derivatives along
+them are not lost in noise. Differences between differences and gradients are held against three standard
+errors of both. Light comes mostly from one side, albedo is coloured, paths have up to five vertices.
 
-In a thin medium steps that can be told from noise are too large for differences. There light scatters once or not at all, and what a ray
-sees is, to first order in the depth, what emission and absorption make of it if every point emits its albedo times the mean light of all
-directions. Quadrature has no noise, and differences of it are as good as float32 allows.
+In a thin medium steps that can be told from noise are too large for differences. There light scatters once or
+not at all, and what a ray sees is, to first order in the depth, what emission and absorption make of it if
+every point emits its albedo times the mean light of all directions. Quadrature has no noise, and differences
+of it are as good as float32 allows.
 """
 
 import drjit as dr
@@ -28,12 +30,15 @@ BEHIND = (0.3, 0.5, 0.2)
 
 def lights():
     return {"sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.2, 0.3, 0.4]}},
-            "sun": {"type": "directional", "direction": [0.5, -0.6, -1], "irradiance": {"type": "rgb", "value": [2.0, 1.6, 1.2]}}}
+            "sun": {"type": "directional", "direction": [0.5, -0.6, -1],
+                    "irradiance": {"type": "rgb", "value": [2.0, 1.6, 1.2]}}}
 
 
 def uneven(make_constant_run, depth, **changes):
-    """A field of about that optical depth, which varies by some ten percent from place to place, as its albedo does."""
-    run = make_constant_run(depth / (2 * BAND), srgb=(0.9, 0.7, 0.5), direction_octaves=-1, normal_octaves=-1, **changes)
+    """A field of about that optical depth, which varies by some ten percent from place to place, as its
+    albedo does."""
+    run = make_constant_run(depth / (2 * BAND), srgb=(0.9, 0.7, 0.5), direction_octaves=-1, normal_octaves=-1,
+                            **changes)
     field = run.model.field
     weights, rng = run.parameters.weights.numpy(), np.random.default_rng(3)
     for name, row, size in (("density_out", 0, 0.3), *(("colour_out", row, 0.5) for row in range(3))):
@@ -48,7 +53,8 @@ def uneven(make_constant_run, depth, **changes):
 
 
 def mean_light():
-    """(3,) the mean radiance over all directions of `lights`: a directional one's irradiance reaches a scatterer whole."""
+    """(3,) the mean radiance over all directions of `lights`: a directional one's irradiance reaches a
+    scatterer whole."""
     sky, sun = lights()["sky"]["radiance"]["value"], lights()["sun"]["irradiance"]["value"]
     return np.array(sky) + np.array(sun) / (4 * np.pi)
 
@@ -84,7 +90,8 @@ class OnGrid:
 
     def __init__(self, run):
         self.run = run
-        self.stage = ScatteringScene(run, [0], {key: mi.load_dict(value) for key, value in lights().items()}, 0.02)
+        self.stage = ScatteringScene(run, [0], {key: mi.load_dict(value) for key, value in lights().items()},
+                                     0.02)
         self.scene = self.stage.scene
 
     def set(self, values, wanted):
@@ -100,13 +107,15 @@ class OnGrid:
 
 
 class Measured:
-    """Means of the light along rays, weighted unevenly over the channels, and their gradients: each call with other rays and paths."""
+    """Means of the light along rays, weighted unevenly over the channels, and their gradients: each call with
+    other rays and paths."""
 
     WEIGHTS = (0.5, 1.0, 0.7)
 
     def __init__(self, place):
         self.place = place
-        integrator = mi.load_dict({"type": "prbvolpath", "max_depth": 6, "rr_depth": 1000, "hide_emitters": True})
+        integrator = mi.load_dict({"type": "prbvolpath", "max_depth": 6, "rr_depth": 1000,
+                                   "hide_emitters": True})
         self.replay = Replay(place.scene, integrator, mi.Color3f(*BEHIND))
         self.seed = 0
 
@@ -125,7 +134,8 @@ class Measured:
 
 
 def derivatives(measured, values, paths, repeats):
-    """For each parameter its name, a direction, the derivative along it, its standard error: from `repeats` gradients of `paths` each."""
+    """For each parameter its name, a direction, the derivative along it, its standard error: from `repeats`
+    gradients of `paths` each."""
     rng = np.random.default_rng(5)
     guess = measured.gradient(values, paths)
     found = [measured.gradient(values, paths) for _ in range(repeats)]
@@ -154,7 +164,9 @@ def check(place, values, change, paths, repeats, forward):
             sides.append([measured.mean(forward) for _ in range(4)])
         difference = (np.mean(sides[0]) - np.mean(sides[1])) / (2 * step)
         noise = np.sqrt(np.var(sides[0], ddof=1) + np.var(sides[1], ddof=1)) / (2 * step) / 2
-        assert abs(gradient - difference) < ERRORS * np.hypot(error, noise), (name, gradient, difference, error, noise)
+        assert abs(gradient - difference) < ERRORS * np.hypot(error,
+                                                              noise), (name, gradient, difference, error,
+                                                                       noise)
         # The comparison means something: the noise is small itself.
         assert error < 0.1 * abs(gradient) and noise < 0.1 * abs(gradient), (name, gradient, error, noise)
         place.set(values, wanted=False)
@@ -166,7 +178,8 @@ def thin_mean(run, values):
     x, y = ((np.stack(np.meshgrid(*[np.arange(96)] * 2)).reshape(2, -1) + 0.5) / 96 - 0.5) * 0.7
     ray = mi.Ray3f(mi.Point3f(x.astype(np.float32), y.astype(np.float32), 2.0), mi.Vector3f(0.0, 0.0, -1.0))
     seen = quadrature(run.posed(0, parameters=parameters), ray, 512)
-    colour, opacity = np.stack([channel.numpy() for channel in seen.colour]).astype(np.float64), seen.opacity.numpy().astype(np.float64)
+    colour = np.stack([channel.numpy() for channel in seen.colour]).astype(np.float64)
+    opacity = seen.opacity.numpy().astype(np.float64)
     radiance = mean_light()[:, None] * colour + np.array(BEHIND)[:, None] * (1 - opacity)
     return float(np.dot(Measured.WEIGHTS, radiance.mean(1)))
 
@@ -177,18 +190,22 @@ def test_gradients_in_a_thin_medium_are_those_of_single_scattering(make_constant
     values = run.field_tensors()
     for name, direction, gradient, error in derivatives(Measured(OnGrid(run)), values, 1 << 17, repeats=6):
         value = values[name]
-        sides = [thin_mean(run, {**values, name: (value + sign * 0.03 * direction).astype(np.float32)}) for sign in (1, -1)]
+        sides = [thin_mean(run, {**values, name: (value + sign * 0.03 * direction).astype(np.float32)})
+                 for sign in (1, -1)]
         difference = (sides[0] - sides[1]) / 0.06
-        # What second order adds: less than the longest way's depth, through the band twice or along it, of the derivative.
+        # What second order adds: less than the longest way's depth, through the band twice or along it, of
+        # the derivative.
         second = 10 * THIN * abs(difference)
         assert abs(gradient - difference) < ERRORS * error + second, (name, gradient, difference, error)
         assert error < 0.1 * abs(gradient), (name, gradient, error)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("depth", "change", "paths", "forward"), [(ORDINARY, 0.02, 1 << 14, 1 << 17), (THICK, 0.01, 1 << 13, 1 << 17)])
+@pytest.mark.parametrize(("depth", "change", "paths", "forward"),
+                         [(ORDINARY, 0.02, 1 << 14, 1 << 17), (THICK, 0.01, 1 << 13, 1 << 17)])
 def test_gradients_on_the_grid_agree_with_differences(make_constant_run, depth, change, paths, forward):
-    """A thick medium's mean hardly follows the table: a step of 0.02 of it is as large as the table's entries themselves, and differences
+    """A thick medium's mean hardly follows the table: a step of 0.02 of it is as large as the table's entries
+    themselves, and differences
     come out a seventh too small."""
     run = uneven(make_constant_run, depth)
     check(OnGrid(run), run.field_tensors(), change, paths, repeats=8, forward=forward)

@@ -1,4 +1,5 @@
-"""The scenes under `ndf_path`: they load with little more than a run, show their performers, and do what their parameters say."""
+"""The scenes under `ndf_path`: they load with little more than a run, show their performers, and do what
+their parameters say."""
 
 from pathlib import Path
 
@@ -28,20 +29,25 @@ def test_a_scene_loads_with_defaults_and_shows_its_performer(make_run, name):
 
 
 def test_the_turntable_turns(make_run):
-    """By a quarter from the front: the camera that stood on z stands on x, and sees the same before as behind a full turn."""
+    """By a quarter from the front: the camera that stood on z stands on x, and sees the same before as behind
+    a full turn."""
     run = make_run(density_limit=20.0)
 
     def sensor(angle):
-        return mi.traverse(load("turntable", run, angle=angle).sensors()[0])["to_world"].matrix.numpy().reshape(4, 4)
+        return mi.traverse(load("turntable", run,
+                                angle=angle).sensors()[0])["to_world"].matrix.numpy().reshape(4, 4)
 
     np.testing.assert_allclose(sensor(90)[:3, 3], [2, 0.5, 0], atol=1e-6)
     np.testing.assert_allclose(sensor(0), sensor(360), atol=1e-5)
-    assert not np.allclose(*(mi.render(load("turntable", run, angle=angle)).numpy() for angle in (0, 90)), atol=1e-3)
+    assert not np.allclose(*(mi.render(load("turntable", run, angle=angle)).numpy() for angle in (0, 90)),
+                           atol=1e-3)
 
 
 def test_two_performers_stand_where_they_were_put(make_constant_run):
-    """By the medium's offset; and a run whose poses are moved is a performer elsewhere too, in the same picture."""
-    run, other = (make_constant_run(60.0, (0.9, 0.1, 0.1)), make_constant_run(60.0, (0.1, 0.1, 0.9), name="other"))
+    """By the medium's offset; and a run whose poses are moved is a performer elsewhere too, in the same
+    picture."""
+    run, other = (make_constant_run(60.0, (0.9, 0.1, 0.1)),
+                  make_constant_run(60.0, (0.1, 0.1, 0.9), name="other"))
     view = {"width": 32, "height": 16, "origin": "0.45, 0.3, 3", "target": "0.45, 0.3, 0", "spp": 16}
     image = mi.render(load("two", run, other=str(other.path), other_offset="0.9, 0, 0", **view)).numpy()
     left, right = image[4:12, :16], image[4:12, 16:]

@@ -1,6 +1,8 @@
-"""The medium in nested shells under Mitsuba's own integrators: means against closed forms, Mitsuba's grid medium and the quadrature.
+"""The medium in nested shells under Mitsuba's own integrators: means against closed forms, Mitsuba's grid
+medium and the quadrature.
 
-Means of several independent renders are compared within four standard errors of their difference, plus the stated tolerance.
+Means of several independent renders are compared within four standard errors of their difference, plus the
+stated tolerance.
 """
 
 import drjit as dr
@@ -19,7 +21,8 @@ ERRORS = 4
 
 
 def media(scene):
-    return {shape.id(): shape.interior_medium() for shape in scene.shapes() if shape.interior_medium() is not None}
+    return {shape.id(): shape.interior_medium() for shape in scene.shapes()
+            if shape.interior_medium() is not None}
 
 
 @pytest.fixture
@@ -30,11 +33,13 @@ def four_shells(monkeypatch):
 
 def means(scene, spp=128, count=6):
     """Means over the image of independent renders, (count, 3)."""
-    return np.array([mi.render(scene, spp=spp, seed=seed).numpy().mean((0, 1)) for seed in range(count)], dtype=np.float64)
+    return np.array([mi.render(scene, spp=spp, seed=seed).numpy().mean((0, 1)) for seed in range(count)],
+                    dtype=np.float64)
 
 
 def agree(a, b, also=0.0, small=0.01):
-    """Whether two sets of means agree within `ERRORS` standard errors, a fraction `small` of the second at most each, and a fraction
+    """Whether two sets of means agree within `ERRORS` standard errors, a fraction `small` of the second at
+    most each, and a fraction
     `also` of it."""
     noise = np.sqrt(sum(m.var(0, ddof=1) / len(m) for m in (a, b) if len(m) > 1))
     difference = np.abs(a.mean(0) - b.mean(0))
@@ -78,7 +83,8 @@ def test_transmittance_of_a_constant_density(make_constant_run):
 def test_transmittance_agrees_with_the_quadrature_in_the_same_shells(make_run, four_shells):
     run, _ = make_ridge(make_run, peak=-1.5)
     shapes = {"performer": performer(run)}
-    agree(means(scene_of(shapes)), means(scene_of(shapes, "ndf_quadrature", samples=400), spp=64, count=3), also=5e-4)
+    agree(means(scene_of(shapes)), means(scene_of(shapes, "ndf_quadrature", samples=400), spp=64, count=3),
+          also=5e-4)
 
 
 def baked(run, frame, cells=72):
@@ -88,21 +94,25 @@ def baked(run, frame, cells=72):
     centre = run.poses.translation[run.poses.index(frame)].astype(np.float64)
     at = (np.arange(cells) + 0.5) / cells * 2 * half - half
     z, y, x = np.meshgrid(at, at, at, indexing="ij")
-    points = mi.Point3f(*(np.ascontiguousarray(v.ravel() + c, dtype=np.float32) for v, c in zip((x, y, z), centre, strict=True)))
+    points = mi.Point3f(*(np.ascontiguousarray(v.ravel() + c, dtype=np.float32)
+                          for v, c in zip((x, y, z), centre, strict=True)))
     posed.bound.pack()
     sample = posed.fused(points, mi.Vector3f(0, 0, 1))
     sigma = sample.sigma.numpy().reshape(cells, cells, cells, 1)
     albedo = np.moveaxis(sample.colour.numpy(), 0, -1).reshape(cells, cells, cells, 3)
     box = mi.ScalarTransform4f().translate(centre.tolist()).scale(2 * half).translate([-0.5, -0.5, -0.5])
-    volumes = {name: {"type": "gridvolume", "grid": mi.VolumeGrid(np.ascontiguousarray(grid, dtype=np.float32)), "to_world": box}
+    volumes = {name: {"type": "gridvolume",
+                      "grid": mi.VolumeGrid(np.ascontiguousarray(grid, dtype=np.float32)), "to_world": box}
                for name, grid in (("sigma_t", sigma), ("albedo", albedo))}
     return half, centre, {"type": "heterogeneous", **volumes}
 
 
 @pytest.fixture
 def wide(make_run):
-    """A run whose frames are 5 cm apart; a ridge wide enough for the grid, of a colour that nothing changes."""
-    return make_ridge(make_run, peak=-0.5, slope=12.0, low=0.015, high=0.03, srgb=(0.95, 0.8, 0.5), frames=20)[0]
+    """A run whose frames are 5 cm apart; a ridge wide enough for the grid, of a colour that nothing changes.
+    """
+    return make_ridge(make_run, peak=-0.5, slope=12.0, low=0.015, high=0.03, srgb=(0.95, 0.8, 0.5),
+                      frames=20)[0]
 
 
 @pytest.mark.parametrize("integrator", ["volpath", "prbvolpath"])
@@ -114,7 +124,8 @@ def test_two_performers_agree_with_mitsubas_grid_medium(wide, four_shells, integ
     for frame in (0, 18):
         two[f"performer{frame}"] = performer(wide, frame=frame, phase=hg)
         half, centre, medium = baked(wide, frame)
-        grids[f"cube{frame}"] = {"type": "cube", "to_world": mi.ScalarTransform4f().translate(centre.tolist()).scale(half),
+        grids[f"cube{frame}"] = {"type": "cube",
+                                 "to_world": mi.ScalarTransform4f().translate(centre.tolist()).scale(half),
                                  "bsdf": {"type": "null"}, "interior": {**medium, "phase": hg}}
     # The light is uneven, so that the phase function matters.
     light = {"sun": {"type": "directional", "direction": [0.3, -0.5, -1], "irradiance": 3.0}}
@@ -129,10 +140,12 @@ def test_camera_inside_the_medium_agrees_with_mitsubas_grid_medium(wide, four_sh
     camera = {"origin": (0, 0, RADIUS + 0.02), "target": (1, 0.3, RADIUS), "fov": 60}
     ref = {"type": "ref", "id": "medium"}
     half, _, medium = baked(wide, 0)
-    cube = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(half), "bsdf": {"type": "null"}, "interior": ref}
+    cube = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(half), "bsdf": {"type": "null"},
+            "interior": ref}
     shell = {"type": "ndf_shell", "layers": 3, "cell": 0.0125, "interior": ref}
     field = {"type": "ndf", "run": str(wide.path), "frame": 0}
-    ours, theirs = (scene_of({"medium": what, "performer": shape}, integrator, sensor(**camera, medium=ref), depth=5)
+    ours, theirs = (scene_of({"medium": what, "performer": shape}, integrator, sensor(**camera, medium=ref),
+                             depth=5)
                     for what, shape in ((field, shell), (medium, cube)))
     assert not scene_issues(ours)
     agree(means(ours), means(theirs), also=8e-3)
@@ -141,17 +154,21 @@ def test_camera_inside_the_medium_agrees_with_mitsubas_grid_medium(wide, four_sh
 WIDE = 24
 LAMP = np.array([1.1, 1.0, -1.0])
 MIRROR = {"type": "rectangle", "bsdf": {"type": "conductor"},
-          "to_world": mi.ScalarTransform4f().look_at([-0.75, 0, -0.35], [0.3, 0.1, 0.9], [0, 1, 0]).scale([0.45, 0.5, 1])}
+          "to_world": mi.ScalarTransform4f().look_at([-0.75, 0, -0.35], [0.3, 0.1, 0.9],
+                                                     [0, 1, 0]).scale([0.45, 0.5, 1])}
 
 
 def room():
-    """A floor under the ball, a mirror next to it, a lamp above and a dim sky; white, so that light bounces between them."""
+    """A floor under the ball, a mirror next to it, a lamp above and a dim sky; white, so that light bounces
+    between them."""
     place = mi.ScalarTransform4f()
     return {
-        "floor": {"type": "rectangle", "to_world": place.translate([0, -0.4, 0]).rotate([1, 0, 0], -90).scale(3),
+        "floor": {"type": "rectangle",
+                  "to_world": place.translate([0, -0.4, 0]).rotate([1, 0, 0], -90).scale(3),
                   "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.8}}},
         "mirror": MIRROR,
-        "lamp": {"type": "rectangle", "to_world": place.look_at(LAMP.tolist(), [0, 0, 0], [0, 1, 0]).scale(0.35),
+        "lamp": {"type": "rectangle",
+                 "to_world": place.look_at(LAMP.tolist(), [0, 0, 0], [0, 1, 0]).scale(0.35),
                  "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 10.0}}},
         "light": {"type": "constant", "radiance": {"type": "rgb", "value": 0.2}},
     }
@@ -164,30 +181,38 @@ def passes(o, d):
 
 
 def regions(camera):
-    """Which pixels show the performer, its image in the mirror, its shadow on the floor, and the floor far from it; each (h, w) bool."""
+    """Which pixels show the performer, its image in the mirror, its shadow on the floor, and the floor far
+    from it; each (h, w) bool."""
     scene = scene_of(room(), camera=camera)
     y, x = (np.mgrid[:WIDE, :WIDE].reshape(2, -1) + 0.5) / WIDE
-    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.0, mi.Point2f(x.astype(np.float32), y.astype(np.float32)), mi.Point2f(0.5))
+    ray, _ = scene.sensors()[0].sample_ray(0.0, 0.0, mi.Point2f(x.astype(np.float32), y.astype(np.float32)),
+                                           mi.Point2f(0.5))
     si = scene.ray_intersect(ray)
     shapes = {shape.id(): mi.ShapePtr(shape) for shape in scene.shapes()}
     floor, mirror = ((si.shape == shapes[name]).numpy() for name in ("floor", "mirror"))
-    o, d, p, n = (np.broadcast_to(np.array(v, dtype=np.float64).reshape(3, -1), (3, WIDE**2)).T for v in (ray.o, ray.d, si.p, si.n))
+    o, d, p, n = (np.broadcast_to(np.array(v, dtype=np.float64).reshape(3, -1), (3, WIDE**2)).T
+                  for v in (ray.o, ray.d, si.p, si.n))
     seen = passes(o, d)
     shadow = passes(p, LAMP - p)
-    found = {"performer": seen < 0.33, "mirrored": mirror & (passes(p, d - 2 * (d * n).sum(-1, keepdims=True) * n) < 0.3),
-             "shadow": floor & (seen > 0.45) & (shadow < 0.25), "floor": floor & (seen > 0.45) & (shadow > 0.6)}
+    found = {"performer": seen < 0.33,
+             "mirrored": mirror & (passes(p, d - 2 * (d * n).sum(-1, keepdims=True) * n) < 0.3),
+             "shadow": floor & (seen > 0.45) & (shadow < 0.25),
+             "floor": floor & (seen > 0.45) & (shadow > 0.6)}
     return {name: mask.reshape(WIDE, WIDE) for name, mask in found.items()}
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("integrator", ["volpath", "volpathmis"])
 def test_among_surfaces_it_agrees_with_mitsubas_grid_medium(wide, four_shells, integrator):
-    """What it throws on a floor, shows in a mirror and scatters of a lamp's light: region by region of the image."""
+    """What it throws on a floor, shows in a mirror and scatters of a lamp's light: region by region of the
+    image."""
     camera = sensor((0.55, 0.5, 2.6), (-0.15, -0.1, 0), fov=42, size=WIDE)
     half, _, medium = baked(wide, 0)
-    cube = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(half), "bsdf": {"type": "null"}, "interior": medium}
+    cube = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(half), "bsdf": {"type": "null"},
+            "interior": medium}
     images = [np.array([mi.render(scene, spp=256, seed=seed).numpy() for seed in range(8)], dtype=np.float64)
-              for scene in (scene_of({**room(), "performer": shape}, integrator, camera, depth=6) for shape in (performer(wide), cube))]
+              for scene in (scene_of({**room(), "performer": shape}, integrator, camera, depth=6)
+                            for shape in (performer(wide), cube))]
     shown = regions(camera)
     ours, theirs = ({name: image[:, mask].mean(1) for name, mask in shown.items()} for image in images)
     for name, mask in shown.items():
@@ -196,11 +221,14 @@ def test_among_surfaces_it_agrees_with_mitsubas_grid_medium(wide, four_shells, i
     assert theirs["shadow"].mean() < 0.6 * theirs["floor"].mean()
 
 
-@pytest.mark.parametrize("integrator", ["volpath", *(pytest.param(name, marks=pytest.mark.long) for name in INTEGRATORS[1:])])
+@pytest.mark.parametrize("integrator",
+                         ["volpath", *(pytest.param(name, marks=pytest.mark.long)
+                                       for name in INTEGRATORS[1:])])
 def test_in_a_furnace_what_absorbs_nothing_is_not_seen(make_constant_run, four_shells, integrator):
     """Albedo 1 up to rounding: however often light scatters, the same amount leaves as enters."""
     run = make_constant_run(15.0, srgb=(0.99999,) * 3)
-    image = np.mean([mi.render(scene_of({"performer": performer(run)}, integrator, depth=-1), spp=128, seed=seed).numpy()
+    image = np.mean([mi.render(scene_of({"performer": performer(run)}, integrator, depth=-1), spp=128,
+                               seed=seed).numpy()
                      for seed in range(4)], axis=0)
     assert image.mean() == pytest.approx(1, abs=5e-3)
     assert np.abs(image - 1).max() < 0.1
@@ -229,7 +257,8 @@ def test_gradient_under_prbvolpath_agrees_with_the_closed_form(make_run):
         gradients.append(np.mean(found))
     gradients = np.array(gradients, dtype=np.float64)
     step = 0.02
-    around = [through(make_ridge(make_run, "other", peak=-1.5 + sign * step, density_limit=60.0)[1]) for sign in (1, -1)]
+    around = [through(make_ridge(make_run, "other", peak=-1.5 + sign * step, density_limit=60.0)[1])
+              for sign in (1, -1)]
     expected = (around[0] - around[1]) / (2 * step)
     assert expected < -0.02
     error = gradients.std(ddof=1) / np.sqrt(len(gradients))
@@ -241,7 +270,8 @@ def test_xml_of_a_file(make_run, four_shells, tmp_path):
     run, _ = make_ridge(make_run)
     (tmp_path / "scene.xml").write_text(f"""<scene version="3.5.0">
         <integrator type="volpath"/> <emitter type="constant"/>
-        <sensor type="perspective"><transform name="to_world"><lookat origin="0,0,2" target="0,0,0" up="0,1,0"/></transform></sensor>
+        <sensor type="perspective"><transform name="to_world">
+            <lookat origin="0,0,2" target="0,0,0" up="0,1,0"/></transform></sensor>
         <shape type="ndf_shell" id="performer">
             <integer name="layers" value="3"/>
             <medium type="ndf" name="interior"><string name="run" value="{run.path}"/></medium>
@@ -251,9 +281,11 @@ def test_xml_of_a_file(make_run, four_shells, tmp_path):
     # Between two shells it is one and the same medium, whichever shell it is reached through.
     shells = {shape.id(): shape for shape in scene.shapes()}
     assert shells["performer"].exterior_medium() is None
-    for outer, inner in (("performer", "performer_1"), ("performer_1", "performer_2"), ("performer_2", "performer_3")):
+    for outer, inner in (("performer", "performer_1"), ("performer_1", "performer_2"),
+                         ("performer_2", "performer_3")):
         assert shells[inner].exterior_medium() is shells[outer].interior_medium()
-    assert [key for key in mi.traverse(scene).keys() if key.endswith(".weights")] == ["performer.interior_medium.weights"]  # noqa: SIM118
+    keys = mi.traverse(scene).keys()
+    assert [key for key in keys if key.endswith(".weights")] == ["performer.interior_medium.weights"]
 
 
 def test_majorants_follow_the_parameters(make_run, capfd):
@@ -287,7 +319,8 @@ def test_a_moved_body_warns_once(make_run, capfd):
     run, _ = make_ridge(make_run)
     params = mi.traverse(scene_of({"performer": performer(run)}))
     for shift in (0.05, 0.06):
-        params["performer.interior_medium.vertices"] = mi.Float((run.poses.vertices[0] + np.float32([shift, 0, 0])).ravel())
+        params["performer.interior_medium.vertices"] = mi.Float((run.poses.vertices[0]
+                                                                 + np.float32([shift, 0, 0])).ravel())
         params.update()
     text = said(capfd)
     assert text.count("the body has moved") == 1 and "load the scene again" in text and str(run.path) in text
@@ -323,7 +356,8 @@ def test_wrong_parameters_of_the_shell_are_named(make_run, change, words):
 
 @pytest.mark.parametrize("layers", [0, 3])
 def test_an_offset_moves_performer_and_shell(make_run, layers):
-    """The same rays, moved with the performer, see the same: the shells lie where they lay, and the camera too."""
+    """The same rays, moved with the performer, see the same: the shells lie where they lay, and the camera
+    too."""
     run, _ = make_ridge(make_run)
     place = np.array([0.5, -0.25, 1.0])
     pictures, bounds = [], []

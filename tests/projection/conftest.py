@@ -70,7 +70,8 @@ def chart() -> Callable[[np.ndarray, np.ndarray], Mesh]:
 
 
 def closest64(mesh: Mesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance to every triangle by float64 brute force, of the nearest: (N,) distances and (N,) triangles."""
+    """Distance to every triangle by float64 brute force, of the nearest: (N,) distances and (N,) triangles.
+    """
     triangles = mesh.vertices[mesh.faces].astype(np.float64)
     distance, nearest = np.full(len(points), np.inf), np.zeros(len(points), int)
     for i, triangle in enumerate(triangles):
@@ -93,7 +94,8 @@ def points() -> Callable[..., mi.Point3f]:
 
 
 def around(mesh: Mesh, count: int, spread: float, seed: int = 0) -> np.ndarray:
-    """Points about the surface: on random triangles, moved by up to ``spread`` in any direction; float32 values."""
+    """Points about the surface: on random triangles, moved by up to ``spread`` in any direction; float32
+    values."""
     rng = np.random.default_rng(seed)
     triangle = rng.integers(len(mesh.faces), size=count)
     weights = rng.dirichlet((1, 1, 1), count)

@@ -93,7 +93,8 @@ def test_sign_at_a_sharp_corner(chart: Callable, points: Callable) -> None:
     tetrahedron = trimesh.Trimesh(vertices, faces, process=False)
     assert tetrahedron.volume > 0
     rng = np.random.default_rng(2)
-    x = (rng.normal(size=(4000, 3)) * [0.05, 0.15, 0.1] + rng.choice(4, 4000)[:, None] / 4 * [[0, 0.1, -1]]).astype(
+    x = (rng.normal(size=(4000, 3)) * [0.05, 0.15, 0.1] + rng.choice(4, 4000)[:, None] / 4
+         * [[0, 0.1, -1]]).astype(
         np.float32
     )
     normal = tetrahedron.face_normals
@@ -144,7 +145,8 @@ def test_near_and_box_leave_nothing_out(mesh: Any, reference: Callable, points: 
 def test_a_lone_triangle_of_any_size(size: float, chart: Callable, points: Callable) -> None:
     vertices = size * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     posed = chart(vertices, np.array([[0, 1, 2]])).pose(0.5)
-    x = np.array([[0.2 * size, 0.2 * size, 0.1], [0.2 * size, 0.2 * size, -0.1], [-0.1, 0, 0], [size + 0.1, -0.1, 0]])
+    x = np.array([[0.2 * size, 0.2 * size, 0.1], [0.2 * size, 0.2 * size, -0.1], [-0.1, 0, 0],
+                  [size + 0.1, -0.1, 0]])
     p = values(posed.project(points(x)))
     np.testing.assert_allclose(p["l"][:2], [0.1, -0.1], rtol=1e-5)
     np.testing.assert_allclose(np.abs(p["l"][2:]), [0.1, np.sqrt(0.02)], rtol=1e-5, atol=4e-6 * size)
@@ -154,7 +156,8 @@ def test_open3d_agrees_on_the_body(chart: Callable, points: Callable) -> None:
     o3d = pytest.importorskip("open3d", exc_type=ImportError)
     body = load_anny()
     vertices = np.asarray(body.template, np.float32)
-    posed = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, vertices), mi.Float(vertices.ravel()), 0.08)
+    posed = PosedSurface(Surface(body.faces, body.uv, body.uv_faces, vertices), mi.Float(vertices.ravel()),
+                         0.08)
     rng = np.random.default_rng(6)
     x = rng.uniform(vertices.min(0) - 0.08, vertices.max(0) + 0.08, (200_000, 3)).astype(np.float32)
     scene = o3d.t.geometry.RaycastingScene()

@@ -16,7 +16,8 @@ from ndf_mi.projection import PosedSurface
 STEP = 1e-6
 
 
-def reference(vertices: np.ndarray, mesh: Any, triangle: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reference(vertices: np.ndarray, mesh: Any, triangle: np.ndarray,
+              x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unsigned distance and texel of the closest point on the given triangles, in float64."""
     corner = vertices[mesh.faces[triangle]]
     on = trimesh.triangles.closest_point(corner, x)
@@ -27,7 +28,8 @@ def reference(vertices: np.ndarray, mesh: Any, triangle: np.ndarray, x: np.ndarr
 
 @pytest.fixture(scope="module")
 def case(mesh: Any, scatter: Callable, points: Callable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points off the surface, their triangles and the signs of their distances; none close to a change of region."""
+    """Points off the surface, their triangles and the signs of their distances; none close to a change of
+    region."""
     x = scatter(mesh, 600, 0.12, seed=7)
     p = mesh.pose().project(points(x))
     weights = np.asarray(p.barycentric).T
@@ -38,7 +40,8 @@ def case(mesh: Any, scatter: Callable, points: Callable) -> tuple[np.ndarray, np
 
 def outputs(p: Any, seeds: tuple[np.ndarray, np.ndarray]) -> mi.Float:
     """A random linear functional of l and uv."""
-    return dr.sum(p.l * mi.Float(seeds[0]) + p.uv.x * mi.Float(seeds[1][:, 0]) + p.uv.y * mi.Float(seeds[1][:, 1]))
+    return dr.sum(p.l * mi.Float(seeds[0]) + p.uv.x * mi.Float(seeds[1][:, 0]) + p.uv.y
+                  * mi.Float(seeds[1][:, 1]))
 
 
 def seeds(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -61,7 +64,8 @@ def test_gradient_with_respect_to_the_query(mesh: Any, case: Any, points: Callab
     np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-4 * np.abs(expected).max())
 
 
-def test_gradient_with_respect_to_the_vertices_in_random_directions(mesh: Any, case: Any, points: Callable) -> None:
+def test_gradient_with_respect_to_the_vertices_in_random_directions(mesh: Any, case: Any,
+                                                                    points: Callable) -> None:
     x, triangle, sign = case
     wl, wuv = seeds(len(x))
     vertices = mi.Float(mesh.vertices.astype(np.float32).ravel())

@@ -1,4 +1,5 @@
-"""The same numbers in symbolic loops and inside a medium that `volpath` calls; a new pose compiles no kernel."""
+"""The same numbers in symbolic loops and inside a medium that `volpath` calls; a new pose compiles no kernel.
+"""
 
 from __future__ import annotations
 
@@ -106,7 +107,8 @@ def test_inside_a_medium_under_volpath(mesh: Any) -> None:
 
 
 def test_gradient_reaches_the_vertices_inside_a_medium(mesh: Any) -> None:
-    """The transmittance of an absorbing band, as the body grows: `prbvolpath` against a quadrature with 300 steps."""
+    """The transmittance of an absorbing band, as the body grows: `prbvolpath` against a quadrature with 300
+    steps."""
     surface, band, size, opaque = mesh.surface(), 0.15, 8, 8.4
     start = mi.Float(mesh.vertices.astype(np.float32).ravel())
 

@@ -1,4 +1,5 @@
-"""Runs that are lit though their colours hold light, or shown as light though these are albedos: one warning, or none."""
+"""Runs that are lit though their colours hold light, or shown as light though these are albedos: one warning,
+or none."""
 
 import mitsuba as mi
 import pytest
@@ -11,16 +12,20 @@ LIGHT, ALBEDO = {"steps": 9}, {"steps": 9, "integrator": "prbvolpath", "warm_up"
 def scene_of(run, integrator, layers=0):
     return mi.load_dict({
         "type": "scene", "integrator": {"type": integrator}, "light": {"type": "constant"},
-        "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0], [0, 1, 0]),
+        "sensor": {"type": "perspective",
+                   "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0], [0, 1, 0]),
                    "film": {"type": "hdrfilm", "width": 4, "height": 4}},
-        "performer": {"type": "ndf_shell", "layers": layers, "interior": {"type": "ndf", "run": str(run.path)}}})
+        "performer": {"type": "ndf_shell", "layers": layers,
+                      "interior": {"type": "ndf", "run": str(run.path)}}})
 
 
 @pytest.mark.parametrize("layers", [0, 2])
 @pytest.mark.parametrize(("training", "integrator", "expected"), [
-    (LIGHT, "volpath", True), (LIGHT, "prbvolpath", True), (LIGHT, "ndf_path", False), (ALBEDO, "volpath", False), (None, "volpath", False),
+    (LIGHT, "volpath", True), (LIGHT, "prbvolpath", True), (LIGHT, "ndf_path", False),
+    (ALBEDO, "volpath", False), (None, "volpath", False),
 ])
-def test_a_check_of_the_scene_finds_light_taken_for_albedo(make_constant_run, training, integrator, expected, layers):
+def test_a_check_of_the_scene_finds_light_taken_for_albedo(make_constant_run, training, integrator, expected,
+                                                           layers):
     run = make_constant_run(20.0)
     run.config["training"] = training
     run.save()
@@ -29,10 +34,12 @@ def test_a_check_of_the_scene_finds_light_taken_for_albedo(make_constant_run, tr
 
 
 @pytest.mark.parametrize(("training", "integrator", "expected"), [
-    (ALBEDO, "ndf_path", True), (ALBEDO, "ndf_quadrature", True), (LIGHT, "ndf_path", False), (None, "ndf_quadrature", False),
+    (ALBEDO, "ndf_path", True), (ALBEDO, "ndf_quadrature", True), (LIGHT, "ndf_path", False),
+    (None, "ndf_quadrature", False),
     (LIGHT, "volpath", False),
 ])
-def test_integrators_warn_once_of_albedo_taken_for_light(make_constant_run, capfd, training, integrator, expected):
+def test_integrators_warn_once_of_albedo_taken_for_light(make_constant_run, capfd, training, integrator,
+                                                         expected):
     run = make_constant_run(20.0)
     run.config["training"] = training
     run.save()

@@ -23,11 +23,13 @@ class Parallel:
 
     def rays(self, pixels: mi.Point2f) -> mi.Ray3f:
         """The rays through pixel coordinates."""
-        return mi.Ray3f(mi.Point3f(2.4 * pixels.x / self.w - 1.2, 2.4 * pixels.y / self.h - 1.2, -4.0), mi.Vector3f(0, 0, 1))
+        return mi.Ray3f(mi.Point3f(2.4 * pixels.x / self.w - 1.2, 2.4 * pixels.y / self.h - 1.2, -4.0),
+                        mi.Vector3f(0, 0, 1))
 
 
 class Ball:
-    """Constant density inside the unit ball, coloured by position; counts the samples that it is asked for."""
+    """Constant density inside the unit ball, coloured by position; counts the samples that it is asked for.
+    """
 
     sample_factor = 1
 
@@ -45,7 +47,8 @@ class Ball:
     def evaluate(self, x, d, located, active):
         self.asked += int(dr.count(active)[0])
         sigma = mi.Float(self.sigma) + dr.zeros(mi.Float, dr.width(x))
-        return FieldSample(sigma, mi.Color3f(0.5 + 0.5 * x.x, 0.5 + 0.5 * x.y, 0.5 + 0.5 * x.z), mi.Point3f(x), mi.Normal3f(x))
+        return FieldSample(sigma, mi.Color3f(0.5 + 0.5 * x.x, 0.5 + 0.5 * x.y, 0.5 + 0.5 * x.z),
+                           mi.Point3f(x), mi.Normal3f(x))
 
 
 @pytest.mark.parametrize("samples", [64, 63, 1])
@@ -75,24 +78,28 @@ def test_an_opaque_ball_hides_what_is_behind():
 
 
 def test_depth_of_a_silhouette_is_a_mean_over_what_is_seen():
-    """Of sixteen rays a pixel some miss the ball: they have no depth, and take nothing from that of the others."""
+    """Of sixteen rays a pixel some miss the ball: they have no depth, and take nothing from that of the
+    others."""
     image = ImageRenderer(64, spp=16)(Ball(200.0), Parallel(), geometry=True)
     edge = (image.opacity > 0.2) & (image.opacity < 0.8)
     assert edge.sum() >= 4
-    # The ball's front lies between 3 and 4 metres from the camera, and its normals have unit length at every ray.
+    # The ball's front lies between 3 and 4 metres from the camera, and its normals have unit length at every
+    # ray.
     assert ((image.depth[edge] > 3) & (image.depth[edge] < 4.1)).all()
     assert (np.linalg.norm(image.normal[edge], axis=-1) > 0.8).all()
 
 
 def test_shifted_samples_are_the_same_every_time_and_right_on_average():
-    """A shift that is uniform over a stratum makes the mean over many rays the integral: here of a ball that one sample a ray can miss."""
+    """A shift that is uniform over a stratum makes the mean over many rays the integral: here of a ball that
+    one sample a ray can miss."""
     first = ImageRenderer(2, spp=64, stratified=True, cutoff=0.0)(Ball(1.0), Parallel())
     again = ImageRenderer(2, spp=64, stratified=True, cutoff=0.0)(Ball(1.0), Parallel())
     assert (first.linear == again.linear).all()
     middles = ImageRenderer(2, spp=64, cutoff=0.0)(Ball(1.0), Parallel())
     truth = ImageRenderer(256, spp=64, cutoff=0.0)(Ball(1.0), Parallel())
     near = (truth.opacity > 0.1) & (truth.opacity < 0.6)
-    error, other = (np.sqrt(np.mean(np.square((image.opacity - truth.opacity)[near]))) for image in (first, middles))
+    error, other = (np.sqrt(np.mean(np.square((image.opacity - truth.opacity)[near])))
+                    for image in (first, middles))
     assert error < 0.5 * other
 
 

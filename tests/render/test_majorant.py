@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from ridge_field import make_ridge
 
-from ndf_mi.render.majorant import FLOOR, MARGIN, Bounds, bounds, densities, exceeding, random_points, transmittances
-from ndf_mi.render.majorant_levels import CANDIDATES, choose_levels, expected_cost
-from ndf_mi.render.nested import Majorants, corner_ranks, cut_layers, layer_majorants, ranks
+from ndf_mi.render import majorant, nested
+from ndf_mi.render.majorant import FLOOR, MARGIN, Bounds, bounds, densities, exceeding, random_points
+from ndf_mi.render.nested import Majorants, choose_levels, corner_ranks, cut_layers, layer_majorants, ranks
 from ndf_mi.render.shell import Grid, distances, spread
 
 RADIUS = 0.3
@@ -25,7 +25,8 @@ def flat(run, row=0):
 def exact(run, density, points):
     """σ at points by libigl's signed distance to the ball's mesh."""
     vertices, faces = run.poses.vertices[0].astype(np.float64), run.body.faces.astype(np.int64)
-    l = igl.signed_distance(points.astype(np.float64), vertices, faces, igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)[0]
+    l = igl.signed_distance(points.astype(np.float64), vertices, faces,
+                            igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)[0]
     return density(l)
 
 
@@ -62,7 +63,8 @@ def test_estimates_are_above_the_density(ridge):
 def test_a_margin_beyond_the_limit_is_cut_to_it(ridge):
     run, _ = ridge
     preset = run.model.field.preset
-    estimate = bounds(run.posed(0), preset, distances(run.model.surface, flat(run), preset.band, 0.03), margin=1e6)
+    estimate = bounds(run.posed(0), preset, distances(run.model.surface, flat(run), preset.band, 0.03),
+                      margin=1e6)
     assert estimate.upper.max() == np.float32(estimate.limit)
 
 
@@ -70,16 +72,19 @@ def test_transmittance_to_each_cell_is_the_mean_of_six_beams():
     rng = np.random.default_rng(4)
     sigma = rng.uniform(0, 9, (5, 4, 6)).astype(np.float32)
     cell, (i, j, k) = 0.1, (2, 1, 3)
-    beams = [sigma[:i, j, k], sigma[i + 1 :, j, k], sigma[i, :j, k], sigma[i, j + 1 :, k], sigma[i, j, :k], sigma[i, j, k + 1 :]]
+    beams = [sigma[:i, j, k], sigma[i + 1 :, j, k], sigma[i, :j, k], sigma[i, j + 1 :, k], sigma[i, j, :k],
+             sigma[i, j, k + 1 :]]
     expected = np.mean([np.exp(-cell * (b.astype(np.float64).sum() + 0.5 * sigma[i, j, k])) for b in beams])
-    assert transmittances(sigma, cell)[i, j, k] == pytest.approx(expected, rel=1e-5)
+    assert majorant.transmittances(sigma, cell)[i, j, k] == pytest.approx(expected, rel=1e-5)
 
 
 def blob(shape=(22, 20, 24), seed=3):
     """Estimates of no field: bumps of densities over four decades."""
     rng = np.random.default_rng(seed)
     at = np.indices(shape).astype(float)
-    upper = sum(10 ** rng.uniform(-1, 2.6) * np.exp(-((at - (np.array(shape) * rng.uniform(0.3, 0.7, 3))[:, None, None, None]) ** 2).sum(0)
+    upper = sum(10 ** rng.uniform(-1, 2.6)
+                * np.exp(-((at - (np.array(shape)
+                                  * rng.uniform(0.3, 0.7, 3))[:, None, None, None]) ** 2).sum(0)
                                                     / rng.uniform(2, 30)) for _ in range(6))
     band = upper > 0.02
     band[[0, -1]] = band[:, [0, -1]] = band[:, :, [0, -1]] = False
@@ -92,7 +97,7 @@ def test_levels_are_the_best_of_all(count):
     """Dynamic programming against all choices, by the cost that it is said to minimise."""
     estimate = blob()
     upper = estimate.upper[estimate.band]
-    levels = np.geomspace(upper.min(), upper.max(), CANDIDATES + 1)[:-1]
+    levels = np.geomspace(upper.min(), upper.max(), nested.CANDIDATES + 1)[:-1]
     cell = estimate.grid.cell
 
     def measures(level):
@@ -107,7 +112,7 @@ def test_levels_are_the_best_of_all(count):
         m = [*levels[list(chosen)], upper.max()]
         return sum(m[k] * (v[k] - v[k + 1]) for k in range(len(m))) + 0.5 * sum(area[j] / 2 for j in chosen)
 
-    best = min(cost(c) for c in itertools.combinations(range(1, CANDIDATES), count - 1))
+    best = min(cost(c) for c in itertools.combinations(range(1, nested.CANDIDATES), count - 1))
     found = choose_levels(estimate, 4)[count - 1]
     assert list(found) == sorted(found)
     index = [int(np.argmin(np.abs(levels - t))) for t in found]
@@ -116,7 +121,8 @@ def test_levels_are_the_best_of_all(count):
 
 def test_constant_density_gets_one_shell():
     estimate = blob()
-    same = Bounds(estimate.grid, estimate.band, np.where(estimate.band, 5, 0).astype(np.float32), estimate.seen, 10.0)
+    same = Bounds(estimate.grid, estimate.band, np.where(estimate.band, 5, 0).astype(np.float32),
+                  estimate.seen, 10.0)
     assert choose_levels(same, 4) == [()]
 
 
@@ -132,13 +138,16 @@ def test_ranks_differ_by_one_at_most_and_hold_the_dense_cells():
     wanted = np.where(estimate.band, 1 + np.searchsorted(levels, estimate.upper), 0)
     assert (lowest[inner] >= wanted).all()
     majorants = layer_majorants(grid, rank, estimate)
-    for k, majorant in enumerate(majorants):
+    for k, value in enumerate(majorants):
         here = ((lowest <= k + 1) & (highest >= k + 1))[inner]
-        assert majorant == max(estimate.upper[here].max(), np.float32(FLOOR))
-    assert majorants[:3] == sorted(majorants[:3]) and all(m <= t for m, t in zip(majorants, levels, strict=False))
+        assert value == max(estimate.upper[here].max(), np.float32(FLOOR))
+    assert majorants[:3] == sorted(majorants[:3]) and all(
+        m <= t for m, t in zip(majorants, levels, strict=False))
     one = ranks(estimate, ())[1]
-    assert expected_cost(rank, majorants, estimate, 0.0) < expected_cost(one, layer_majorants(grid, (rank > 0) * np.uint8(1), estimate),
-                                                                         estimate, 0.0)
+    alone = layer_majorants(grid, (rank > 0) * np.uint8(1), estimate)
+    cost, cost_of_one = (nested.expected_cost(*shells, estimate, 0.0)
+                         for shells in ((rank, majorants), (one, alone)))
+    assert cost < cost_of_one
 
 
 def test_shells_are_closed_and_strictly_one_within_the_other(ridge):
@@ -152,17 +161,21 @@ def test_shells_are_closed_and_strictly_one_within_the_other(ridge):
     for vertices, faces in layers.shells:
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
-    for (v0, f0), (v1, f1) in itertools.pairwise((v.astype(np.float64), f.astype(np.int64)) for v, f in layers.shells):
+    for (v0, f0), (v1, f1) in itertools.pairwise((v.astype(np.float64), f.astype(np.int64)) for v,
+                                                 f in layers.shells):
         assert (np.asarray(igl.winding_number(v0, f0, v1)) > 0.5).all()
-        for points, vertices, faces in ((v1, v0, f0), (v0, v1, f1), (v1[f1].mean(1), v0, f0), (v0[f0].mean(1), v1, f1)):
+        for points, vertices, faces in ((v1, v0, f0), (v0, v1, f1), (v1[f1].mean(1), v0, f0),
+                                        (v0[f0].mean(1), v1, f1)):
             gap = np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
             # Far above what Mitsuba moves rays by when it spawns them, 2.7e-4 m at two metres.
             assert gap.min() > 0.1 * CELL
 
-    # Every point of the band is in some layer, and its density below that layer's majorant, by the meshes alone.
+    # Every point of the band is in some layer, and its density below that layer's majorant, by the meshes
+    # alone.
     rng = np.random.default_rng(8)
     points = rng.uniform(-0.4, 0.4, (30000, 3))
-    layer = sum((np.asarray(igl.winding_number(v.astype(np.float64), f.astype(np.int64), points)) > 0.5).astype(int)
+    layer = sum((np.asarray(igl.winding_number(v.astype(np.float64), f.astype(np.int64),
+                                               points)) > 0.5).astype(int)
                 for v, f in layers.shells) - 1
     sigma = exact(run, density, points)
     assert (sigma[layer < 0] == 0).all()
@@ -172,20 +185,20 @@ def test_shells_are_closed_and_strictly_one_within_the_other(ridge):
 
 def test_shells_of_a_field_with_contrast(ridge):
     run, density = ridge
-    nested = Majorants(run.model, run.posed(0), flat(run), 4, CELL)
-    assert 2 <= len(nested.layers.shells) == len(nested.values) <= 4
-    assert nested.values == sorted(nested.values) and nested.values[0] < 0.1 * nested.values[-1]
-    assert nested.excess is None and nested.left_out(flat(run)) == 0
+    shells = Majorants(run.model, run.posed(0), flat(run), 4, CELL)
+    assert 2 <= len(shells.layers.shells) == len(shells.values) <= 4
+    assert shells.values == sorted(shells.values) and shells.values[0] < 0.1 * shells.values[-1]
+    assert shells.excess is None and shells.left_out(flat(run)) == 0
 
 
 def test_a_spike_between_the_samples_is_found_and_majorants_are_raised(make_run):
     run, density = make_ridge(make_run, peak=2.0, slope=3000.0, low=0.03, high=0.0302)
-    nested = Majorants(run.model, run.posed(0), flat(run), 3, 0.06)
-    assert nested.excess is not None
-    assert nested.excess.density > nested.excess.majorant
-    assert max(nested.values) >= nested.excess.density
-    distance = abs(np.linalg.norm(nested.excess.point) - RADIUS - 0.03)
-    assert distance < 0.004 and "per metre" in str(nested.excess)
+    shells = Majorants(run.model, run.posed(0), flat(run), 3, 0.06)
+    assert shells.excess is not None
+    assert shells.excess.density > shells.excess.majorant
+    assert max(shells.values) >= shells.excess.density
+    distance = abs(np.linalg.norm(shells.excess.point) - RADIUS - 0.03)
+    assert distance < 0.004 and "per metre" in str(shells.excess)
 
 
 def test_excess_names_the_worst_point():
@@ -198,19 +211,19 @@ def test_excess_names_the_worst_point():
 
 def test_majorants_follow_the_field_and_the_body(ridge, make_run):
     run, thin = ridge
-    nested = Majorants(run.model, run.posed(0), flat(run), 3, CELL)
-    before = list(nested.values)
+    shells = Majorants(run.model, run.posed(0), flat(run), 3, CELL)
+    before = list(shells.values)
     denser, density = make_ridge(make_run, "denser", peak=2.0)
-    nested.update(denser.posed(0))
-    assert all(b > a for a, b in zip(before, nested.values, strict=True))
-    points = random_points(nested.layers.grid, np.ones(nested.layers.grid.shape, bool), 20000, 5)
-    layer = nested.layers.locate(points)
+    shells.update(denser.posed(0))
+    assert all(b > a for a, b in zip(before, shells.values, strict=True))
+    points = random_points(shells.layers.grid, np.ones(shells.layers.grid.shape, bool), 20000, 5)
+    layer = shells.layers.locate(points)
     sigma = exact(denser, density, points)
-    assert (sigma[layer < 0] == 0).all() and (sigma <= np.array([0, *nested.values])[layer + 1]).all()
+    assert (sigma[layer < 0] == 0).all() and (sigma <= np.array([0, *shells.values])[layer + 1]).all()
     # Five centimetres aside: part of the band is outside the shells now; within them majorants hold.
     moved = flat(run, 1)
-    assert nested.left_out(moved) > 0.05
-    nested.update(run.posed(1), moved)
+    assert shells.left_out(moved) > 0.05
+    shells.update(run.posed(1), moved)
     points = points[layer >= 0]
     sigma = exact(run, thin, points - [0.05, 0, 0])
-    assert sigma.max() > 20 and (sigma <= np.array(nested.values)[layer[layer >= 0]]).all()
+    assert sigma.max() > 20 and (sigma <= np.array(shells.values)[layer[layer >= 0]]).all()

@@ -22,7 +22,8 @@ print(mi.Bitmap(sys.argv[1]).height())
 """
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="the system cannot restrict a process to one core")
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"),
+                    reason="the system cannot restrict a process to one core")
 def test_exr_on_one_core(tmp_path):
     """Mitsuba needs a second thread to write and read it."""
     command = [sys.executable, "-c", ONE_CORE, str(tmp_path / "a.exr")]

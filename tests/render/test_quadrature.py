@@ -1,4 +1,5 @@
-"""The quadrature against closed forms: a box and a ball of constant density, a linear ramp; and against float64 sums."""
+"""The quadrature against closed forms: a box and a ball of constant density, a linear ramp; and against
+float64 sums."""
 
 from dataclasses import dataclass
 
@@ -88,7 +89,8 @@ def test_jitter_does_not_change_the_mean():
     ray, *_ = rays(2000)
     plain = quadrature(Ball(mi.Float(2.0)), ray, 64)
     rng = np.random.default_rng(1)
-    jittered = quadrature(Ball(mi.Float(2.0)), ray, 64, jitter=mi.Float(rng.random(2000 * 64, dtype=np.float32)))
+    jittered = quadrature(Ball(mi.Float(2.0)), ray, 64,
+                          jitter=mi.Float(rng.random(2000 * 64, dtype=np.float32)))
     assert float(dr.mean(jittered.opacity)[0]) == pytest.approx(float(dr.mean(plain.opacity)[0]), rel=5e-3)
 
 

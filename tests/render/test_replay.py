@@ -12,16 +12,19 @@ COUNT = 1 << 16
 
 
 def slab_of(sigma, albedo, radiance):
-    """Replay in a slab of thickness 1 on a grid, with a majorant above its density, under an even sky; rays; the nodes' values."""
+    """Replay in a slab of thickness 1 on a grid, with a majorant above its density, under an even sky; rays;
+    the nodes' values."""
     medium = mi.load_dict({"type": "ndf_grid", "nx": 4, "ny": 4, "nz": 4, "cell": 1.0})
     nodes = np.zeros((64, 4), np.float32)
     nodes[:] = sigma * np.array([1, albedo, albedo, albedo])
     values = mi.Float(nodes.ravel())
     dr.enable_grad(values)
     medium.fill(values, mi.Point3f(-1.5), mi.Float(max(1.5 * sigma, 1.0)))
-    slab = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(0.5), "bsdf": {"type": "null"}, "interior": medium}
+    slab = {"type": "cube", "to_world": mi.ScalarTransform4f().scale(0.5), "bsdf": {"type": "null"},
+            "interior": medium}
     scene = mi.load_dict({"type": "scene", "slab": slab, "light": {"type": "constant", "radiance": radiance}})
-    integrator = mi.load_dict({"type": "prbvolpath", "max_depth": 200, "rr_depth": 1000, "hide_emitters": True})
+    integrator = mi.load_dict({"type": "prbvolpath", "max_depth": 200, "rr_depth": 1000,
+                               "hide_emitters": True})
     ray = repeated(mi.Ray3f(mi.Point3f(0.1, 0.2, 3.0), mi.Vector3f(0, 0, -1)), COUNT)
     return Replay(scene, integrator, mi.Color3f(*BEHIND)), ray, values
 

@@ -15,7 +15,8 @@ def test_a_check_finds_what_a_scene_gets_wrong(make_run):
     medium = {"type": "ndf", "run": str(run.path)}
     null = {"type": "null"}
     assert scene_issues(scene_of({"performer": performer(run)})) == []
-    assert scene_issues(scene_of({"ball": {"type": "sphere", "radius": 0.4, "bsdf": null, "interior": medium}})) == []
+    assert scene_issues(scene_of({"ball": {"type": "sphere", "radius": 0.4, "bsdf": null,
+                                           "interior": medium}})) == []
     assert scene_issues(scene_of({"ball": {"type": "sphere"}})) == []
 
     def only(scene, *words):
@@ -25,22 +26,32 @@ def test_a_check_finds_what_a_scene_gets_wrong(make_run):
         return text
 
     for name in ("path", "direct", "prb"):
-        only(mi.load_dict({"type": "scene", "integrator": {"type": name}, "performer": performer(run)}), "knows no media", "volpath")
-    only(scene_of({"small": {"type": "sphere", "radius": 0.31, "bsdf": null, "interior": medium}}), "small", "% of the field")
-    only(scene_of({"inward": {"type": "sphere", "radius": 0.4, "flip_normals": True, "bsdf": null, "interior": medium}}), "faces inward")
-    only(scene_of({"grey": {"type": "sphere", "radius": 0.4, "interior": medium}}), "surface of its own", "null")
+        only(mi.load_dict({"type": "scene", "integrator": {"type": name}, "performer": performer(run)}),
+             "knows no media", "volpath")
+    only(scene_of({"small": {"type": "sphere", "radius": 0.31, "bsdf": null, "interior": medium}}), "small",
+         "% of the field")
+    only(scene_of({"inward": {"type": "sphere", "radius": 0.4, "flip_normals": True, "bsdf": null,
+                              "interior": medium}}), "faces inward")
+    only(scene_of({"grey": {"type": "sphere", "radius": 0.4, "interior": medium}}), "surface of its own",
+         "null")
     only(scene_of({"flat": {"type": "rectangle", "bsdf": null, "interior": medium}}), "encloses nothing")
-    only(scene_of({"performer": performer(run)}, camera=sensor((0, 0, 0.33))), "sensor 0 is inside", "'performer'", "<ref")
-    only(scene_of({"performer": performer(run)}, "prbvolpath", camera=sensor((0, 0, 0.33))), "begins outside of media")
-    only(scene_of({"mine": {"type": "ndf_shell", "run": str(run.path)}}), "'mine'", "neither a surface", "`ndf` medium")
-    assert scene_issues(scene_of({"glass": {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}, "interior": medium}})) == []
+    only(scene_of({"performer": performer(run)}, camera=sensor((0, 0, 0.33))), "sensor 0 is inside",
+         "'performer'", "<ref")
+    only(scene_of({"performer": performer(run)}, "prbvolpath", camera=sensor((0, 0, 0.33))),
+         "begins outside of media")
+    only(scene_of({"mine": {"type": "ndf_shell", "run": str(run.path)}}), "'mine'", "neither a surface",
+         "`ndf` medium")
+    assert scene_issues(scene_of({"glass": {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"},
+                                            "interior": medium}})) == []
 
 
 def test_integrators_within_others_are_looked_at(make_run):
     shape = {"performer": performer(make_ridge(make_run)[0])}
 
     def found(inner, outer="aov", **more):
-        return scene_issues(mi.load_dict({"type": "scene", "integrator": {"type": outer, "inner": {"type": inner}, **more}, **shape}))
+        return scene_issues(mi.load_dict({"type": "scene",
+                                          "integrator": {"type": outer, "inner": {"type": inner}, **more},
+                                          **shape}))
 
     for inner in ("path", "volprim_rf_basic"):
         (text,) = found(inner, aovs="d:depth")
@@ -54,16 +65,19 @@ def test_integrators_within_others_are_looked_at(make_run):
 def test_what_the_packages_integrators_can_show_is_no_issue(make_run, integrator):
     """A camera in the band, a carrier smaller than it, one that is open or refracts."""
     medium = {"type": "ndf", "run": str(make_ridge(make_run)[0].path)}
-    for shape in ({"type": "sphere", "radius": 0.31, "bsdf": {"type": "null"}}, {"type": "rectangle", "bsdf": {"type": "null"}},
+    for shape in ({"type": "sphere", "radius": 0.31, "bsdf": {"type": "null"}},
+                  {"type": "rectangle", "bsdf": {"type": "null"}},
                   {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}}):
-        assert scene_issues(scene_of({"carrier": {**shape, "interior": medium}}, integrator, camera=sensor((0, 0, 0.33)))) == []
+        assert scene_issues(scene_of({"carrier": {**shape, "interior": medium}}, integrator,
+                                     camera=sensor((0, 0, 0.33)))) == []
 
 
 def test_performers_that_meet_are_found(make_run):
     run, _ = make_ridge(make_run)
 
     def found(*offset, integrator="volpath"):
-        return scene_issues(scene_of({"one": performer(run), "other": performer(run, offset=list(offset))}, integrator))
+        return scene_issues(scene_of({"one": performer(run), "other": performer(run, offset=list(offset))},
+                                     integrator))
 
     (text,) = found(0.7, 0.0, 0.0)
     assert "'one'" in text and "'other'" in text and "meet" in text
@@ -77,10 +91,12 @@ def test_an_open_mesh_is_found(make_run, tmp_path):
     assert open_edges(ball.vertices, ball.faces) == 0
     ball.update_faces(np.arange(len(ball.faces)) != 7)
     assert open_edges(ball.vertices, ball.faces) == 3
-    touching = trimesh.util.concatenate([trimesh.creation.box(), trimesh.creation.box().apply_translation([1, 1, 0])])
+    touching = trimesh.util.concatenate([trimesh.creation.box(),
+                                         trimesh.creation.box().apply_translation([1, 1, 0])])
     assert open_edges(touching.vertices, touching.faces) == 0  # four triangles at the edge where they touch
     ball.export(tmp_path / "open.ply")
-    scene = scene_of({"mine": {"type": "ply", "filename": str(tmp_path / "open.ply"), "bsdf": {"type": "null"},
+    scene = scene_of({"mine": {"type": "ply", "filename": str(tmp_path / "open.ply"),
+                               "bsdf": {"type": "null"},
                                "interior": {"type": "ndf", "run": str(run.path)}}})
     (text,) = scene_issues(scene)
     assert "mine" in text and "not closed (3 open edges)" in text and "ndf_shell" in text

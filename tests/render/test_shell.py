@@ -1,4 +1,5 @@
-"""Shells: closed, simple, and around all of the band, by libigl's winding numbers and distances and by brute force."""
+"""Shells: closed, simple, and around all of the band, by libigl's winding numbers and distances and by brute
+force."""
 
 import igl
 import mitsuba as mi
@@ -25,8 +26,10 @@ def capsule(start, end, radius):
 
 BODIES = {
     "ball": [trimesh.creation.icosphere(2, 0.12)],
-    "limbs a centimetre apart": [capsule([0, 0, 0], [0, 0.3, 0], 0.07), capsule([0.15, 0, 0], [0.15, 0.3, 0], 0.07)],
-    "an armpit: limbs that run into each other": [capsule([0, 0, 0], [0, 0.35, 0], 0.08), capsule([0, 0.3, 0], [0.25, 0.05, 0], 0.05)],
+    "limbs a centimetre apart": [capsule([0, 0, 0], [0, 0.3, 0], 0.07),
+                                 capsule([0.15, 0, 0], [0.15, 0.3, 0], 0.07)],
+    "an armpit: limbs that run into each other": [capsule([0, 0, 0], [0, 0.35, 0], 0.08),
+                                                  capsule([0, 0.3, 0], [0.25, 0.05, 0], 0.05)],
     "thinner than the band": [trimesh.creation.box([0.3, 0.01, 0.2])],
 }
 
@@ -39,15 +42,18 @@ def surface_of(meshes):
 
 def inside(vertices, faces, points):
     """By the generalised winding number."""
-    return np.asarray(igl.winding_number(vertices.astype(np.float64), faces.astype(np.int64), points.astype(np.float64))) > 0.5
+    return np.asarray(igl.winding_number(vertices.astype(np.float64), faces.astype(np.int64),
+                                         points.astype(np.float64))) > 0.5
 
 
 def distance(points, vertices, faces):
-    return np.sqrt(igl.point_mesh_squared_distance(points.astype(np.float64), vertices.astype(np.float64), faces.astype(np.int64))[0])
+    return np.sqrt(igl.point_mesh_squared_distance(points.astype(np.float64), vertices.astype(np.float64),
+                                                   faces.astype(np.int64))[0])
 
 
 def pierced(vertices, faces, low, cell):
-    """Pairs of triangles in one cell of the grid, without a common vertex, one of which has an edge through the other."""
+    """Pairs of triangles in one cell of the grid, without a common vertex, one of which has an edge through
+    the other."""
     corners = vertices.astype(np.float64)[faces]
     home = np.floor((corners.mean(1) - low) / cell).astype(int)
     _, home = np.unique(home, axis=0, return_inverse=True)
@@ -73,7 +79,8 @@ def pierced(vertices, faces, low, cell):
 def walking():
     """The default body in the middle of a step, its arms by its sides."""
     body = load_anny()
-    return trimesh.Trimesh(pose_sequence(body, load_clip("walk"), [20]).vertices[0], body.faces, process=False)
+    return trimesh.Trimesh(pose_sequence(body, load_clip("walk"), [20]).vertices[0], body.faces,
+                           process=False)
 
 
 @pytest.mark.parametrize("name", [*BODIES, pytest.param("the default body, walking", marks=pytest.mark.long)])
@@ -91,7 +98,8 @@ def test_shell_is_closed_and_contains_the_band(name):
     points = rng.uniform(posed.min(0) - BAND, posed.max(0) + BAND, (20000, 3))
     # And close to all of the body: in armpits, between fingers and legs.
     points = np.concatenate([points, band_points(surface, posed, BAND, INSIDE, 20000, seed=3)])
-    found = PosedSurface(surface, mi.Float(posed.ravel()), BAND).project(mi.Point3f(points.astype(np.float32).T))
+    found = PosedSurface(surface, mi.Float(posed.ravel()),
+                         BAND).project(mi.Point3f(points.astype(np.float32).T))
     band = found.valid.numpy() & (found.l.numpy() >= -INSIDE)
     assert band.sum() > 2000
     assert inside(vertices, faces, points[band]).all()
@@ -118,7 +126,8 @@ def test_follows_a_moved_body():
     bent[:, 0] += 0.4 * bent[:, 1] ** 2
     vertices, faces = band_shell(surface, mi.Float(bent.ravel()), BAND, CELL, INSIDE)
     points = bent + np.array([0, 0, BAND - 1e-3])
-    found = PosedSurface(surface, mi.Float(bent.ravel()), BAND).project(mi.Point3f(points.astype(np.float32).T))
+    found = PosedSurface(surface, mi.Float(bent.ravel()),
+                         BAND).project(mi.Point3f(points.astype(np.float32).T))
     band = found.valid.numpy() & (found.l.numpy() >= -INSIDE)
     assert band.sum() > 0.4 * len(points)
     assert inside(vertices, faces, points[band]).all()
@@ -137,14 +146,16 @@ def test_any_set_of_nodes_gives_a_closed_mesh_around_whole_cells():
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         assert mesh.is_watertight and mesh.is_winding_consistent, trial
         assert mesh.volume > 0
-        # Random points of cells with all corners inside are inside; of cells with none, outside; nodes on their own side.
+        # Random points of cells with all corners inside are inside; of cells with none, outside; nodes on
+        # their own side.
         count = np.zeros((8, 8, 8), int)
         for shift in np.ndindex(2, 2, 2):
             count += nodes[shift[0] : shift[0] + 8, shift[1] : shift[1] + 8, shift[2] : shift[2] + 8]
         for cells, expected in ((count == 8, True), (count == 0, False)):
             at = np.argwhere(cells)
             if len(at):
-                assert (inside(vertices, faces, grid.low + (at + rng.random((len(at), 3))) * grid.cell) == expected).all()
+                assert (inside(vertices, faces,
+                               grid.low + (at + rng.random((len(at), 3))) * grid.cell) == expected).all()
         places = np.argwhere(np.ones_like(nodes))
         assert (inside(vertices, faces, grid.low + places * grid.cell) == nodes.ravel()).all()
         hits, _ = pierced(vertices, faces, grid.low, grid.cell)
@@ -154,10 +165,12 @@ def test_any_set_of_nodes_gives_a_closed_mesh_around_whole_cells():
 def test_grids_are_combined_as_by_brute_force():
     rng = np.random.default_rng(2)
     parts = rng.random((8, 6, 10)).astype(np.float32)
-    assert reduce_parts(parts, np.maximum) == pytest.approx(parts.reshape(4, 2, 3, 2, 5, 2).max(axis=(1, 3, 5)))
+    assert reduce_parts(parts,
+                        np.maximum) == pytest.approx(parts.reshape(4, 2, 3, 2, 5, 2).max(axis=(1, 3, 5)))
     assert reduce_parts(parts, np.add) == pytest.approx(parts.reshape(4, 2, 3, 2, 5, 2).sum(axis=(1, 3, 5)))
     wide = np.pad(parts, 1)
     expected = np.max([wide[i : i + 8, j : j + 6, k : k + 10] for i, j, k in np.ndindex(3, 3, 3)], axis=0)
     assert (spread(parts) == expected).all()
-    nodes = np.max([np.pad(parts, 1)[i : i + 9, j : j + 7, k : k + 11] for i, j, k in np.ndindex(2, 2, 2)], axis=0)
+    nodes = np.max([np.pad(parts, 1)[i : i + 9, j : j + 7, k : k + 11] for i, j, k in np.ndindex(2, 2, 2)],
+                   axis=0)
     assert (corners_of(parts) == nodes).all()

@@ -1,4 +1,5 @@
-"""A field on a sparse grid, against scipy's interpolation on the same nodes and a density known in closed form."""
+"""A field on a sparse grid, against scipy's interpolation on the same nodes and a density known in closed
+form."""
 
 import dataclasses
 import gc
@@ -38,9 +39,11 @@ def test_it_is_linear_between_the_fields_values_at_the_nodes(make_run):
     found = blocked(run)
     low = np.array(run.posed(0).bbox.min, np.float64).ravel()
     high = np.array(run.posed(0).bbox.max, np.float64).ravel()
-    axes = [low[k] + CELL * np.arange(SIDE * int(np.ceil((high - low)[k] / CELL / SIDE)) + 1) for k in range(3)]
+    axes = [low[k] + CELL * np.arange(SIDE * int(np.ceil((high - low)[k] / CELL / SIDE)) + 1)
+            for k in range(3)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
-    l = igl.signed_distance(nodes.reshape(-1, 3), run.poses.vertices[0].astype(np.float64), run.body.faces.astype(np.int64),
+    l = igl.signed_distance(nodes.reshape(-1, 3), run.poses.vertices[0].astype(np.float64),
+                            run.body.faces.astype(np.int64),
                             igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL)[0]
     exact = RegularGridInterpolator(axes, density(l).reshape(nodes.shape[:3]))
     points = points_of(np.random.default_rng(0), 20000, 0.37)
@@ -63,7 +66,8 @@ def test_it_tends_to_the_field(make_run):
     posed = run.posed(0)
     posed.bound.pack()
     truth = posed.fused(mi.Point3f(points.T), mi.Vector3f(0.0, 0.0, 1.0)).sigma.numpy()
-    errors = [np.abs(at(blocked(run, cell), points)[:, 0] - truth).mean() / truth.mean() for cell in (0.02, 0.005)]
+    errors = [np.abs(at(blocked(run, cell), points)[:, 0] - truth).mean() / truth.mean()
+              for cell in (0.02, 0.005)]
     assert errors[0] < 0.1 and errors[1] < errors[0] / 6
 
 
@@ -97,13 +101,17 @@ def test_too_fine_a_grid_is_refused_before_it_is_made(make_run, monkeypatch):
 def scene_of(run, integrator="volpath", **more):
     return mi.load_dict({
         "type": "scene", "integrator": {"type": integrator, "max_depth": 6}, "light": {"type": "constant"},
-        "sensor": {"type": "perspective", "fov": 28, "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0], [0, 1, 0]),
-                   "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}, "pixel_format": "rgb"}},
-        "performer": {"type": "ndf_shell", "layers": 3, "interior": {"type": "ndf", "run": str(run.path), **more}}})
+        "sensor": {"type": "perspective", "fov": 28,
+                   "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0], [0, 1, 0]),
+                   "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"},
+                            "pixel_format": "rgb"}},
+        "performer": {"type": "ndf_shell", "layers": 3,
+                      "interior": {"type": "ndf", "run": str(run.path), **more}}})
 
 
 def means(scene, count=6):
-    return np.array([mi.render(scene, spp=128, seed=seed).numpy().mean((0, 1)) for seed in range(count)], np.float64)
+    return np.array([mi.render(scene, spp=128, seed=seed).numpy().mean((0, 1)) for seed in range(count)],
+                    np.float64)
 
 
 def test_paths_see_the_same_in_it(make_run):
@@ -144,7 +152,8 @@ def test_gradients_are_refused(make_run):
     gc.collect()
 
 
-@pytest.mark.parametrize(("more", "text"), [({"grid_spacing": -1.0}, "-1"), ({"grid_spacing": float("nan")}, "nan")])
+@pytest.mark.parametrize(("more", "text"),
+                         [({"grid_spacing": -1.0}, "-1"), ({"grid_spacing": float("nan")}, "nan")])
 def test_bad_spacings_are_refused(make_run, more, text):
     with pytest.raises(RuntimeError, match=text):
         scene_of(make_run(), **more)

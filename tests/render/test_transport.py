@@ -46,22 +46,26 @@ class Ball:
 def rays(n, seed=0, maxt=np.inf):
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-1.2, 1.2, (2, n)).astype(np.float32)
-    ray = mi.Ray3f(mi.Point3f(np.stack([x, y, np.full(n, -4, np.float32)])), mi.Vector3f(0, 0, 1) + dr.zeros(mi.Vector3f, n))
+    ray = mi.Ray3f(mi.Point3f(np.stack([x, y, np.full(n, -4, np.float32)])),
+                   mi.Vector3f(0, 0, 1) + dr.zeros(mi.Vector3f, n))
     ray.maxt = mi.Float(np.broadcast_to(np.float32(maxt), n).copy())
     dr.make_opaque(ray)
     return ray, x.astype(np.float64), y.astype(np.float64)
 
 
 def reference(balls, x, y, end):
-    """Transmittance (N) and light (N, 3) up to the distance `end`, in float64: between neighbouring ends of intervals everything is
+    """Transmittance (N) and light (N, 3) up to the distance `end`, in float64: between neighbouring ends of
+    intervals everything is
     constant, and each stretch has its closed form."""
     bounds = np.stack([b.interval(x, y) for b in balls])
-    nodes = np.sort(np.minimum(np.concatenate([bounds.reshape(-1, len(x)), np.zeros((1, len(x))), end[None]]), end), axis=0)
+    nodes = np.sort(np.minimum(np.concatenate([bounds.reshape(-1, len(x)), np.zeros((1, len(x))), end[None]]),
+                               end), axis=0)
     light, depth = np.zeros((len(x), 3)), np.zeros(len(x))
     for a, b in zip(nodes[:-1], nodes[1:], strict=True):
         inside = (bounds[:, 0] < (a + b) / 2) & ((a + b) / 2 < bounds[:, 1])
         sigma = inside * np.array([float(ball.sigma[0]) for ball in balls])[:, None]
-        colour = np.einsum("kn,kc->nc", sigma, [ball.colour for ball in balls]) / np.maximum(sigma.sum(0), 1e-30)[:, None]
+        colour = np.einsum("kn,kc->nc", sigma,
+                           [ball.colour for ball in balls]) / np.maximum(sigma.sum(0), 1e-30)[:, None]
         light += (np.exp(-depth) * -np.expm1(-sigma.sum(0) * (b - a)))[:, None] * colour
         depth += sigma.sum(0) * (b - a)
     return np.exp(-depth), light
@@ -81,7 +85,8 @@ def test_one_field_is_what_the_quadrature_gives():
         seen = Transport(32, tile=128)([Performer(ball)], ray, True, jitter)
         np.testing.assert_allclose(colours(seen), np.moveaxis(expected.colour.numpy(), 0, -1), atol=1e-6)
         np.testing.assert_allclose(seen.transmittance.numpy(), 1 - expected.opacity.numpy(), atol=1e-6)
-        np.testing.assert_allclose(seen.depth.numpy(), expected.depth.numpy() * expected.opacity.numpy(), atol=1e-5)
+        np.testing.assert_allclose(seen.depth.numpy(), expected.depth.numpy() * expected.opacity.numpy(),
+                                   atol=1e-5)
 
 
 @pytest.mark.parametrize("sigma", [1e-3, 1.0, 20.0])
@@ -96,7 +101,8 @@ def test_a_segment_ends_at_its_surface(sigma):
     np.testing.assert_allclose(colours(seen), light, atol=step)
 
 
-@pytest.mark.parametrize("centre", [0.0, 0.7, -0.7, 1.9, 2.5], ids=["together", "behind", "before", "touching", "apart"])
+@pytest.mark.parametrize("centre", [0.0, 0.7, -0.7, 1.9, 2.5],
+                         ids=["together", "behind", "before", "touching", "apart"])
 def test_two_fields_absorb_and_emit_together(centre):
     """Whichever is first, and however they overlap; the error falls with the samples."""
     ray, x, y = rays(400, maxt=6.2)
@@ -105,7 +111,8 @@ def test_two_fields_absorb_and_emit_together(centre):
     error = []
     for samples in (60, 960):
         seen = Transport(samples)([Performer(ball) for ball in balls], ray)
-        error.append([np.abs(seen.transmittance.numpy() - transmittance).mean(), np.abs(colours(seen) - light).mean()])
+        error.append([np.abs(seen.transmittance.numpy() - transmittance).mean(),
+                      np.abs(colours(seen) - light).mean()])
         # What is emitted and what gets through add up to 1 in a furnace.
         white = [Performer(Ball(b.sigma, (1.0, 1.0, 1.0), b.centre, b.radius)) for b in balls]
         one = Transport(samples)(white, ray)
@@ -146,12 +153,14 @@ def test_gradients_of_overlapping_fields_agree_with_finite_differences():
     dr.enable_grad(a, b)
     dr.backward(value(a, b))
     for k, gradient in enumerate((dr.grad(a)[0], dr.grad(b)[0])):
-        ahead, behind = (float(value(*(mi.Float(v + h * (i == k)) for i, v in enumerate((0.8, 1.7))))[0]) for h in (1e-2, -1e-2))
+        ahead, behind = (float(value(*(mi.Float(v + h * (i == k)) for i, v in enumerate((0.8, 1.7))))[0])
+                         for h in (1e-2, -1e-2))
         assert float(gradient) == pytest.approx((ahead - behind) / 2e-2, rel=2e-3)
 
 
 def scene(**more):
-    """A wall 7 m away, behind two null shells. It has to be kept while anything traced in it is unevaluated."""
+    """A wall 7 m away, behind two null shells. It has to be kept while anything traced in it is unevaluated.
+    """
     null = {"type": "null"}
     return mi.load_dict({
         "type": "scene",
@@ -183,12 +192,14 @@ def test_rays_end_at_maxt():
 
 def test_a_surface_close_behind_a_shell_is_not_jumped_over():
     ray, *_ = rays(500)
-    world = scene(sheet={"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, -1.5 + 2e-5]).scale(5)})
+    world = scene(sheet={"type": "rectangle",
+                         "to_world": mi.ScalarTransform4f().translate([0, 0, -1.5 + 2e-5]).scale(5)})
     assert (next_surface(world, ray, True).t.numpy() < 2.6).all()
 
 
 def test_shapes_that_emit_are_met_unless_skipped():
-    world = scene(light={"type": "rectangle", "bsdf": {"type": "null"}, "to_world": mi.ScalarTransform4f().translate([0, 0, -2]).scale(5),
+    world = scene(light={"type": "rectangle", "bsdf": {"type": "null"},
+                         "to_world": mi.ScalarTransform4f().translate([0, 0, -2]).scale(5),
                          "emitter": {"type": "area", "radiance": 1.0}})
     ray, *_ = rays(50)
     np.testing.assert_allclose(next_surface(world, ray, True).t.numpy(), 2, rtol=1e-6)
