@@ -8,7 +8,7 @@ import mitsuba as mi
 from ndf_mi import variants
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
-from ndf_mi.coordinates import coordinates
+from ndf_mi.coordinates import Coordinates
 from ndf_mi.errors import InputError
 from ndf_mi.field import Field, FieldParameters, Preset
 from ndf_mi.field.occupancy import Occupancy
@@ -43,7 +43,7 @@ class Model:
 
     def __init__(self, body: Body, poses: Poses, preset: Preset) -> None:
         self.surface = Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0])
-        self.coordinates = coordinates(preset, body, poses)
+        self.coordinates = Coordinates(preset, body, poses)
         self.field = Field(preset, poses.pose.shape[1])
 
     @property

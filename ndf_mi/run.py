@@ -188,7 +188,6 @@ class Run:
         Args:
             vertices: (V, 3) of the posed body, world, in metres.
             pose: (J, 3) axis-angles of the joints relative to their parents, in radians, the root's zero.
-            networks: as in :class:`PosedModel`.
         """
         surface = PosedSurface(self.model.surface, _flat(vertices), self.model.band)
         return PosedModel(self.model, self.parameters, surface, _flat(pose), networks=networks)

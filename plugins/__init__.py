@@ -9,10 +9,7 @@ MODULES: tuple[str, ...] = ("ndf", "ndf_grid", "ndf_path", "ndf_quadrature", "nd
 
 
 def register() -> None:
-    """Registers every plugin for the active variant.
-
-    A class that derives from one of Mitsuba's belongs to the variant that was active when it was defined, so
-    each module's ``register()`` defines its class again; the modules themselves are imported once.
-    """
+    """Registers every plugin for the active variant. A class that derives from one of Mitsuba's belongs to
+    the variant that was active when it was defined, so each module defines its class again."""
     for name in MODULES:
         importlib.import_module(f"{__name__}.{name}").register()

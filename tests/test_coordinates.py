@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import RADIUS, ball
 
-from ndf_mi.coordinates import coordinates
+from ndf_mi.coordinates import Coordinates
 from ndf_mi.errors import InputError
 from ndf_mi.field import PRESETS, preset
 from ndf_mi.projection import PosedSurface, Surface
@@ -32,7 +32,7 @@ def around_the_ball(changes, n=500, frame=2):
                            mi.Float(poses.vertices[frame].ravel()), 0.08)
     points = mi.Point3f(x.T.astype(np.float32))
     found = surface.project(points)
-    values = coordinates(changed, body, poses)(points, found, found.valid)
+    values = Coordinates(changed, body, poses)(points, found, found.valid)
     assert len(values) == changed.dimension
     return np.stack([v.numpy() for v in values], 1).astype(np.float64), x, direction, distance, found
 
@@ -72,7 +72,7 @@ def test_every_kind_is_attached_to_the_point_and_finite_where_masked(kind):
     x = mi.Point3f([0.1, 0.2, np.nan], [0.2, -0.1, np.nan], [0.25, 0.24, np.nan])
     dr.enable_grad(x)
     found = surface.project(x, mi.Bool([True, True, False]))
-    values = coordinates(dataclasses.replace(TINY, coordinates=kind), body, poses)(x, found, found.valid)
+    values = Coordinates(dataclasses.replace(TINY, coordinates=kind), body, poses)(x, found, found.valid)
     dr.backward(sum(dr.sum(v) for v in values))
     gradient = dr.grad(x).numpy()
     assert all(np.isfinite(v.numpy()).all() for v in values)

@@ -71,18 +71,29 @@ class Batched:
 
 class Fused:
     """Cooperative vectors between layers, with the methods of :class:`Batched`; traceable in symbolic
-    code."""
+    code.
 
-    def __init__(self, views: Views) -> None:
+    Attributes:
+        finite: whether every layer's output has been finite so far, for `half` precision. An infinity stays
+            one or becomes NaN in later layers.
+    """
+
+    def __init__(self, views: Views, half: bool = False) -> None:
         self._views = views
-        self._kind = mi.Float
+        self._kind = mi.Float16 if half else mi.Float
+        self._half = half
+        self.finite = mi.Bool(True)
 
     def enter(self, *parts: Any) -> Any:
         return nn.CoopVec(*[self._kind(entry) for part in parts for entry in part])
 
     def linear(self, name: str, x: Any) -> Any:
         weight, bias = self._views[name]
-        return nn.matvec(weight, x, bias)
+        out = nn.matvec(weight, x, bias)
+        if self._half:
+            for entry in out:
+                self.finite = self.finite & dr.isfinite(mi.Float(entry))
+        return out
 
     def rows(self, x: Any) -> list[mi.Float]:
         return [mi.Float(entry) for entry in x]
@@ -90,23 +101,3 @@ class Fused:
     def head(self, x: Any) -> tuple[mi.Float, Any]:
         entries = list(x)
         return mi.Float(entries[0]), nn.CoopVec(*entries[1:])
-
-
-class HalfFused(Fused):
-    """As :class:`Fused`, in half precision.
-
-    Attributes:
-        finite: whether every layer's output has been finite so far. An infinity stays one or becomes NaN in
-            later layers.
-    """
-
-    def __init__(self, views: Views) -> None:
-        super().__init__(views)
-        self._kind = mi.Float16
-        self.finite = mi.Bool(True)
-
-    def linear(self, name: str, x: Any) -> Any:
-        out = super().linear(name, x)
-        for entry in out:
-            self.finite = self.finite & dr.isfinite(mi.Float(entry))
-        return out

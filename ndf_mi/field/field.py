@@ -15,7 +15,7 @@ import numpy as np
 from ndf_mi import variants
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.field.encoding import GridEncoding, frequency
-from ndf_mi.field.engines import Batched, Fused, HalfFused, Views, pack
+from ndf_mi.field.engines import Batched, Fused, Views, pack
 from ndf_mi.field.layers import FieldParameters, initial_weights, layout, matrices, products
 from ndf_mi.field.presets import Preset
 from ndf_mi.numerics import saturated, softplus
@@ -59,14 +59,9 @@ class Field:
         return FieldParameters(weights, grid)
 
     def bind(self, pose: mi.Float, parameters: FieldParameters) -> BoundField:
-        """The field at one pose. Pose features are computed and folded into biases and matrices once for all
-        samples.
-
-        Args:
-            pose: (3·J) axis-angles of the joints relative to their parents, in radians; the root's three are
-                zero.
-            parameters: as many as the architecture has; gradients flow to them.
-        """
+        """The field at one pose, (3·J) axis-angles of the joints relative to their parents, in radians, the
+        root's zero. Pose features are computed and folded into biases and matrices once for all samples.
+        Gradients flow to pose and parameters."""
         return BoundField(self, pose, parameters)
 
 
@@ -76,6 +71,7 @@ class BoundField:
     Attributes:
         preset, majorant: the field's.
         width: of the widest layer that a sample passes through.
+        half: whether :meth:`pack` has laid the weights out in half precision.
     """
 
     def __init__(self, field: Field, pose: mi.Float, parameters: FieldParameters) -> None:
@@ -85,7 +81,7 @@ class BoundField:
         self._encoding = field.encoding
         self._grid = parameters.grid
         self._views: Views | None = None
-        self._half = False
+        self.half = False
         self._density_views: Views | None = None
 
         features = mi.TensorXf(pose, (3 * field.joints, 1))
@@ -124,19 +120,13 @@ class BoundField:
         """
         if self._views is None:
             raise RuntimeError("BoundField.fused: call pack() first, outside of symbolic code")
-        if not self._half:
-            return self._evaluate(Fused(self._views), u, d, n, active)
-        run = HalfFused(self._views)
+        run = Fused(self._views, self.half)
         sigma, colour = self._evaluate(run, u, d, n, active)
-        return dr.select(run.finite, sigma, dr.nan), colour
+        return dr.select(run.finite, sigma, dr.nan) if self.half else sigma, colour
 
     def density(self, u: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
-        """σ alone as :meth:`batched` returns it, detached, by the faster form; for evaluated code.
-
-        Args:
-            u: as for :meth:`batched`.
-            active: N lanes to evaluate.
-        """
+        """σ alone as :meth:`batched` returns it in active lanes, detached, by the faster form; for evaluated
+        code."""
         with dr.suspend_grad():
             # Neither direction nor normal enters the density.
             some = dr.full(mi.Vector3f, 1.0, dr.width(u[0]))
@@ -160,17 +150,12 @@ class BoundField:
         """
         if half is None:
             half = "single" not in variants.cooperative_precisions()
-        self._views, self._half = pack(self._tensors, half), half
+        self._views, self.half = pack(self._tensors, half), half
 
     @property
     def packed(self) -> bool:
         """Whether :meth:`pack` has been called."""
         return self._views is not None
-
-    @property
-    def half(self) -> bool:
-        """Whether :meth:`pack` has laid the weights out in half precision."""
-        return self._views is not None and self._half
 
     @property
     def attached(self) -> bool:

@@ -61,10 +61,7 @@ def refit(surface: Surface, vertices: mi.Float, frame: Frame) -> Boxes:
 
 def _merge(nodes: mi.UInt32, words: list[mi.UInt32], first: mi.UInt32, height: int) -> list[mi.UInt32]:
     """Writes the nodes of ``height`` levels, given the boxes of the level below; returns the boxes of the
-    highest.
-
-    Each lane merges one node of the highest level, whose first node is ``first``, and the nodes below it.
-    """
+    highest, whose first node is ``first``. Each lane merges one of its nodes and the nodes below it."""
     lane = dr.arange(mi.UInt32, dr.width(words[0]) >> height)
     below = [[dr.gather(mi.UInt32, w, (lane << height) + i) for w in words] for i in range(1 << height)]
     for up in range(height - 1, -1, -1):

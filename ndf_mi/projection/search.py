@@ -170,10 +170,7 @@ def closest_pair(
 
 def pending(boxes: Boxes, q: mi.Point3f, reach: mi.Float, leaf: mi.UInt32, bound: mi.Float) -> mi.UInt32:
     """The trail with which every search from the cube of half side ``reach`` about ``q`` can begin at
-    ``leaf``.
-
-    Bit i is set where the sibling of the leaf's ancestor i levels up is within ``bound`` of the cube.
-    """
+    ``leaf``: bit i is set where the sibling of the leaf's ancestor i levels up is within ``bound``."""
     trail, node = mi.UInt32(0), leaf + boxes.leaves
     for level in range(boxes.depth):
         left, right = boxes.children(node >> 1)

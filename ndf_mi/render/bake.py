@@ -47,13 +47,8 @@ class NodeSamples:
 def sample_nodes(
     volume: VolumeField, at: Callable[[mi.UInt32], mi.Point3f], candidates: mi.Bool
 ) -> NodeSamples:
-    """Evaluates a field at those candidate nodes that lie in it. Colours must not depend on the view
-    direction.
-
-    Args:
-        at: positions of nodes.
-        candidates: whether each node may lie in the field, one lane a node.
-    """
+    """Evaluates a field at those candidate nodes that lie in it: `at` gives the positions of nodes,
+    `candidates` has one lane a node. Colours must not depend on the view direction."""
     with dr.suspend_grad():
         every = dr.arange(mi.UInt32, dr.width(candidates))
         chosen, real, _ = compact(candidates & volume.may_contain(at(every)))

@@ -88,13 +88,7 @@ def bounds(volume: BoundedField, preset: Preset, sampled: Distances, margin: flo
 
     A cell's estimate is `margin` times the largest sample in the cell and in the layer of parts around it: 4³
     samples for a cell of 2³ parts. It is an estimate, not a bound: :func:`exceeding` checks it at other
-    points.
-
-    Args:
-        volume: the field, at the pose that `sampled` is of.
-        preset: the field's.
-        sampled: distances around its band.
-        margin: factor, above 1.
+    points. `sampled` are distances around the field's band at its pose; `margin` is above 1.
     """
     inside = sampled.distance.reshape(-1)[sampled.places]
     some = (inside <= preset.band) & (inside >= -preset.band_inside)
@@ -129,14 +123,11 @@ def exceeding(points: np.ndarray, sigma: np.ndarray, majorants: np.ndarray) -> E
 
 def transmittances(mean: np.ndarray, cell: float) -> np.ndarray:
     """The approximate share of the light from outside that reaches each cell: the mean transmittance up to
-    the cell's centre over beams along ±x, ±y and ±z.
+    the cell's centre over beams along ±x, ±y and ±z; (nx, ny, nz) float32 in [0, 1].
 
     Args:
         mean: (nx, ny, nz) mean densities in 1/m.
         cell: the cells' side, metres.
-
-    Returns:
-        (nx, ny, nz) float32 in [0, 1].
     """
     total = np.zeros(mean.shape, dtype=np.float32)
     for axis in range(3):

@@ -32,9 +32,8 @@ class Plan:
     """What is measured.
 
     Attributes:
-        half: settings measured at half of the width and height, with errors. Not only powers of two: these
-            would all fill their padded arrays equally, and the cost of padding could not be separated from
-            that of samples.
+        half: settings measured at half of the width and height, with errors. With powers of two alone, the
+            cost of padding could not be separated from that of samples.
         whole: settings measured at the whole width and height, without errors.
         azimuths: of the views, in degrees around the body; the frames are spread over the run's.
         repeats: timings of each image.
@@ -53,13 +52,8 @@ FULL = Plan()
 
 @dataclass(frozen=True)
 class Profile:
-    """Measurements of a run on a machine.
-
-    Attributes:
-        samples: one for each setting and size.
-        opacity: mean opacity of the converged images over the pixels of the body's box: the fraction that the
-            performer covers.
-    """
+    """Measurements of a run on a machine, one for each setting and size, and the mean opacity of the
+    converged images over the pixels of the body's box: the fraction that the performer covers."""
 
     samples: list[Sample]
     opacity: float
@@ -77,7 +71,6 @@ class _View:
         return framing(self.run.poses.vertices[self.run.poses.index(self.frame)], *pixels, self.azimuth)
 
     def seconds(self, setting: Setting, pixels: tuple[int, int], geometry: bool, clock: Clock) -> float:
-        """Time to render an image."""
         camera = self.camera(pixels)
         start = clock()
         setting.image(self.run, self.frame, camera, geometry)

@@ -1,8 +1,7 @@
 """Stratified samples of a field along rays, evaluated only where the field may be anything but empty.
 
-There is one candidate a stratum. Those that a cheap test leaves are located; those that lie in the field are
-evaluated. Each time the survivors are gathered into shorter arrays. Where candidates lie and which of them
-are evaluated is detached.
+There is one candidate a stratum. Those that pass a cheap test are located; those that lie in the field are
+evaluated, each time gathered into shorter arrays.
 """
 
 from __future__ import annotations

@@ -11,9 +11,8 @@ import mitsuba as mi
 class Replay:
     """Paths along rays, traced once for their radiance and again for gradients.
 
-    Camera rays that leave the scene without an interaction see `background` and no emitter. Gradients are
-    exact, too: the second pass receives the background as the radiance of such paths, so that every weight
-    along the way gets its share.
+    Camera rays that leave the scene without an interaction see `background` and no emitter. The second pass
+    receives it as the radiance of such paths, so that every weight along the way gets its gradient.
 
     Args:
         scene: its parameters receive the gradients.

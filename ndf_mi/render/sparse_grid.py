@@ -1,10 +1,5 @@
 """A field sampled on a grid that exists only where the field does: blocks of nodes, looked up instead of
-running networks.
-
-At every collision along a path, null or real, a field searches the closest point and runs its networks. Where
-neither the pose nor the parameters change, a fine enough grid gives the same answer in a fraction of the
-time.
-"""
+running networks. Where neither the pose nor the parameters change, it answers in a fraction of the time."""
 
 from __future__ import annotations
 
@@ -41,9 +36,7 @@ MARGIN = 1.05
 
 class SparseGrid:
     """σ_t and σ_s of a field, linear along each axis between the nodes of a grid; zero where there are no
-    blocks. Detached.
-
-    A `VolumeField`, and like the field itself what a medium and its majorants are computed from.
+    blocks. Detached. A `VolumeField` that media and majorants can be made from.
 
     Args:
         volume: the field at its pose; its colours must not depend on the view direction.

@@ -60,7 +60,6 @@ class _Medium:
     """One field along N rays.
 
     Attributes:
-        strata: the field's samples.
         tau: optical depth of each stratum.
         before: the field's optical depth from the ray's origin to each stratum.
         colour: of each stratum, 0 where nothing was evaluated.
@@ -87,8 +86,7 @@ class Transport:
     """Integrates fields along segments.
 
     The number of segments that meet a field differs widely between camera rays, shadow rays and later
-    bounces. Sizes enter kernels, so they are rounded up to a few. Keeping the largest size ever needed would
-    evaluate several times as many samples.
+    bounces. Sizes enter kernels, so they are rounded up to a few.
 
     Args:
         samples: candidate samples a segment and field, times the field's `sample_factor`.
@@ -167,7 +165,6 @@ class Transport:
         return rows
 
     def _medium(self, performer: Performer, ray: mi.Ray3f, real: mi.Bool, jitter: mi.Float | None) -> _Medium:
-        """Evaluates a field along rays."""
         volume = performer.volume
         if jitter is not None:
             jitter = dr.repeat(jitter, self.samples * volume.sample_factor)

@@ -162,8 +162,6 @@ def candidates(
     error is known.
 
     Args:
-        model: time and error of settings.
-        statistics: of the view.
         own: mean squared error of the field itself against photographs, None if unknown. It adds to the
             rendering error, because the two are taken to be independent.
         slowdown: factor on the predicted times.
@@ -208,11 +206,8 @@ def within_error(choices: Sequence[Choice], error: float) -> Choice:
 def render_choice(
     choice: Choice, run: Run, frame: int, camera: Camera, geometry: bool, report: Callable[[str], None],
     clock: Callable[[], float] = time.perf_counter) -> Image:
-    """Renders the image and reports the time that it took.
-
-    An image that takes longer than expected by more than `TOLERANCE` has compiled kernels. It is rendered
-    again, so that the time reported is that of every further frame.
-    """
+    """Renders the image and reports the time that it took. One that takes longer than expected by more than
+    `TOLERANCE` has compiled kernels: it is rendered again, to report the time of every further frame."""
     times: list[float] = []
     for _ in range(2):
         start = clock()
