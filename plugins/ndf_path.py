@@ -127,7 +127,9 @@ def register() -> None:
                     L += β * crossing.colour
                     β *= crossing.transmittance
                     if depth == 0:
-                        opacity, aovs = 1.0 - crossing.transmittance, self._aov_values(crossing)
+                        opacity = 1.0 - crossing.transmittance
+                        depths = crossing.depth * dr.rcp(dr.maximum(opacity, 1e-6))
+                        aovs = [depths if name == "depth" else opacity for name in self.aovs]
 
                 # The surface: emission, scattered light of a sampled emitter, and the direction onward.
                 last = depth + 1 == self.max_depth
@@ -177,11 +179,6 @@ def register() -> None:
             factor = dr.select(play, dr.rcp(dr.maximum(probability, 1e-20)), 1.0)
             return factor, active & lives & (largest != 0.0)
 
-        def _aov_values(self, crossing: Crossing) -> list[mi.Float]:
-            opacity = 1.0 - crossing.transmittance
-            values = {"depth": crossing.depth * dr.rcp(dr.maximum(opacity, 1e-6)), "opacity": opacity}
-            return [values[name] for name in self.aovs]
-
         def render(
             self, scene: mi.Scene, sensor: int | mi.Sensor = 0, seed: int = 0, spp: int = 0,
             develop: bool = True, evaluate: bool = True,
@@ -196,7 +193,9 @@ def register() -> None:
             if spp:
                 sampler.set_sample_count(spp)
             spp = sampler.sample_count()
-            each = _divisor(spp, PATHS_AT_ONCE // pixels)
+            # The largest divisor within the limit, or 1.
+            divisors = (each for each in range(1, spp + 1) if spp % each == 0)
+            each = max((each for each in divisors if each * pixels <= PATHS_AT_ONCE), default=1)
             if each == spp:
                 return super().render(scene, sensor, seed, spp, develop, evaluate)
             with dr.suspend_grad():
@@ -231,11 +230,6 @@ class _Part:
     def __init__(self, sampler: mi.Sampler, count: int) -> None:
         self.sample_count = lambda: count
         self.next_1d, self.next_2d = sampler.next_1d, sampler.next_2d
-
-
-def _divisor(number: int, limit: int) -> int:
-    """The largest divisor of `number` that is at most `limit`, or 1."""
-    return max((d for d in range(1, number + 1) if number % d == 0 and d <= limit), default=1)
 
 
 def _wide(ray: mi.Ray3f, width: int) -> mi.Ray3f:

@@ -97,13 +97,23 @@ class PosedSurface:
         with dr.suspend_grad():
             return self._cells.may_contain(mi.Point3f(dr.detach(x)))
 
-    def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> mi.UInt32:
-        """Number of the closest triangle, detached; 0 in lanes that are inactive or off the band."""
-        return self._closest(x, active)[0]
+    def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> tuple[mi.UInt32, mi.Bool]:
+        """The closest triangle's number and whether there is one, detached; 0 in lanes that are inactive or
+        off the band."""
+        with dr.suspend_grad():
+            x = mi.Point3f(dr.detach(x))
+            cell, inside = self._cells.locate(x)
+            active = mi.Bool(active) & inside
+            if dr.flag(dr.JitFlag.SymbolicScope) or dr.width(x) < SORTED:
+                found = self._search(x, cell, active)
+            else:
+                found = self._search_sorted(x, cell, active)
+            hit = found < 2 * self.surface.leaves
+            return dr.gather(mi.UInt32, self.surface.leaf_triangles, found, hit), hit
 
     def project(self, x: mi.Point3f, active: mi.Bool | bool = True) -> Projection:
         """P_θ(x): the search, detached, then :meth:`project_onto` the triangle found, attached."""
-        triangle, found = self._closest(x, active)
+        triangle, found = self.closest(x, active)
         return self.project_onto(triangle, x, found)
 
     def project_onto(self, triangle: mi.UInt32, x: mi.Point3f, active: mi.Bool | bool = True) -> Projection:
@@ -152,19 +162,6 @@ class PosedSurface:
         slope = dr.select(directed, unit(offset, sign * normal) * sign, normal)
         slope = dr.select(on_edge | on_corner, slope, own)
         return normal, sign * distance, slope
-
-    def _closest(self, x: mi.Point3f, active: mi.Bool | bool) -> tuple[mi.UInt32, mi.Bool]:
-        """The closest triangle and whether there is one; 0 where there is none."""
-        with dr.suspend_grad():
-            x = mi.Point3f(dr.detach(x))
-            cell, inside = self._cells.locate(x)
-            active = mi.Bool(active) & inside
-            if dr.flag(dr.JitFlag.SymbolicScope) or dr.width(x) < SORTED:
-                found = self._search(x, cell, active)
-            else:
-                found = self._search_sorted(x, cell, active)
-            hit = found < 2 * self.surface.leaves
-            return dr.gather(mi.UInt32, self.surface.leaf_triangles, found, hit), hit
 
     def _search(self, x: mi.Point3f, cell: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Number 2 · leaf + (0 or 1) of the closest triangle in the band, 2 · leaves where there is none."""

@@ -106,16 +106,6 @@ def pair_distance2(corners: list[mi.Float], q: mi.Point3f) -> tuple[mi.Float, mi
     return triangle(b), triangle(d)
 
 
-def _test_leaf(
-    boxes: Boxes, q: mi.Point3f, leaf: mi.UInt32, best: mi.Float, found: mi.UInt32
-) -> tuple[mi.Float, mi.UInt32]:
-    corners = [value for k in range(3) for value in _read4(boxes.corners, leaf * 3 + k)]
-    for k, distance2 in enumerate(pair_distance2(corners, q)):
-        better = distance2 < best
-        best, found = dr.select(better, distance2, best), dr.select(better, 2 * leaf + k, found)
-    return best, found
-
-
 def _pop(node: mi.UInt32, trail: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
     """The sibling of the lowest ancestor that has one pending; node 0 where none has."""
     done = trail == 0
@@ -145,7 +135,11 @@ def closest_pair(
     leaves = boxes.leaves
 
     def leaf(node: mi.UInt32, trail: mi.UInt32, best: mi.Float, found: mi.UInt32) -> State:
-        best, found = _test_leaf(boxes, q, node - leaves, best, found)
+        index = node - leaves
+        corners = [value for k in range(3) for value in _read4(boxes.corners, index * 3 + k)]
+        for k, distance2 in enumerate(pair_distance2(corners, q)):
+            better = distance2 < best
+            best, found = dr.select(better, distance2, best), dr.select(better, 2 * index + k, found)
         node, trail = _pop(node, trail)
         return node, trail, best, found
 

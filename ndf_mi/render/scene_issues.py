@@ -61,7 +61,8 @@ def scene_issues(scene: mi.Scene) -> list[str]:
         one or two sentences for each issue, with the repair; none for a scene without issues.
     """
     found = _empty_shapes(scene)
-    holders = [shape for shape in scene.shapes() if _holds_field(shape.interior_medium())]
+    holders = [shape for shape in scene.shapes()
+               if isinstance(shape.interior_medium(), FieldMedium) and shape.interior_medium().outermost]
     kinds = _integrators(scene)
     if not holders or (kinds and all(kind & set(OWN) for kind in kinds)):
         return found
@@ -132,10 +133,6 @@ def _faced_from_within(
     return inside.numpy()
 
 
-def _holds_field(medium: mi.Medium | None) -> bool:
-    return isinstance(medium, FieldMedium) and medium.outermost
-
-
 def _integrators(scene: mi.Scene) -> list[set[str]]:
     """Class names, in Python and in C++, of the scene's integrator, or of those that it passes rays on to."""
     if scene.integrator() is None:
@@ -147,17 +144,13 @@ def _integrators(scene: mi.Scene) -> list[set[str]]:
 
 
 def _empty_shapes(scene: mi.Scene) -> list[str]:
+    every, null = int(mi.BSDFFlags.All), int(mi.BSDFFlags.Null)
     return [f"shape {shape.id()!r}: has neither a surface (its BSDF is null) nor a medium, so that nothing "
             "of it is seen. Give it an `ndf` medium as its interior: an `ndf_shell` only encloses one."
             for shape in scene.shapes()
-            if shape.bsdf() is not None and _is_null(shape.bsdf())
+            if shape.bsdf() is not None and int(shape.bsdf().flags()) & every == null
             and shape.interior_medium() is None and shape.exterior_medium() is None
             and not shape.is_emitter() and not shape.is_sensor()]
-
-
-def _is_null(bsdf: mi.BSDF) -> bool:
-    """Whether light passes unchanged, and nothing else happens."""
-    return int(bsdf.flags()) & int(mi.BSDFFlags.All) == int(mi.BSDFFlags.Null)
 
 
 def _meeting(scene: mi.Scene, one: Any, other: Any) -> list[str]:
