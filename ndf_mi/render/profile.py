@@ -58,7 +58,11 @@ class Key:
         fixed = [
             self.run, self.size, self.geometry,
             *(self.machine[name] for name in ("Processor", "Cores", "Variant"))]
-        return cache_folder() / "profiles" / f"{hashlib.sha256(repr(fixed).encode()).hexdigest()[:24]}.json"
+        base = os.environ.get("XDG_CACHE_HOME", "")
+        # The XDG specification says to ignore relative paths.
+        cache = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
+        name = f"{hashlib.sha256(repr(fixed).encode()).hexdigest()[:24]}.json"
+        return cache / "ndf-mi" / "profiles" / name
 
 
 @dataclass(frozen=True)
@@ -72,19 +76,12 @@ class _File:
     samples: list[Sample]
 
 
-def cache_folder() -> Path:
-    """``$XDG_CACHE_HOME/ndf-mi``, by default ``~/.cache/ndf-mi``."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    # The XDG specification says to ignore relative paths.
-    return (Path(base) if os.path.isabs(base) else Path.home() / ".cache") / "ndf-mi"
-
-
 def load_or_measure(run: Run, size: tuple[int, int], geometry: bool, report: Callable[[str], None],
                     measure: Callable[..., Profile] = measure) -> Profile:
     """The stored profile, or a new one, which is then stored. `measure` makes a new one; the arguments are
     its."""
     key = Key.of(run, size, geometry)
-    stored, reason = read(key)
+    stored, reason = _read(key)
     if stored is not None:
         report(f"profile: {key.file}")
         return stored
@@ -105,7 +102,7 @@ def write(key: Key, profile: Profile) -> None:
     files.write_json(key.file, asdict(_File(FORMAT, VERSION, key, profile.opacity, profile.samples)))
 
 
-def read(key: Key) -> tuple[Profile | None, str]:
+def _read(key: Key) -> tuple[Profile | None, str]:
     """The profile stored for a key; or None, and why: none is stored, it can't be read, or it is stale."""
     try:
         stored = msgspec.json.decode(key.file.read_bytes(), type=_File)
