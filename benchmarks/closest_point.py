@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import trimesh
@@ -30,12 +30,14 @@ variants.use()
 import drjit as dr  # noqa: E402
 import igl  # noqa: E402
 import mitsuba as mi  # noqa: E402
-import open3d as o3d  # noqa: E402
 from rich.console import Console  # noqa: E402
 from rich.table import Table  # noqa: E402
 
 from ndf_mi.body.anny import load_anny  # noqa: E402
+from ndf_mi.optional import require  # noqa: E402
 from ndf_mi.projection import PosedSurface, Surface  # noqa: E402
+
+Distance: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -69,17 +71,17 @@ def load(name: str) -> tuple[np.ndarray, np.ndarray]:
     return (vertices, faces) if name == "body" else trimesh.remesh.subdivide(vertices, faces)[:2]
 
 
-def band_points(scene: o3d.t.geometry.RaycastingScene, box: np.ndarray, options: Options) -> np.ndarray:
+def band_points(distance: Distance, box: np.ndarray, options: Options) -> np.ndarray:
     """(count, 3) float32, uniform in the band."""
     rng = np.random.default_rng(options.seed)
     kept: list[np.ndarray] = []
     while sum(map(len, kept)) < options.count:
         x = rng.uniform(box[0] - options.band, box[1] + options.band, (options.count, 3)).astype(np.float32)
-        kept.append(x[scene.compute_distance(o3d.core.Tensor(x)).numpy() <= options.band])
+        kept.append(x[distance(x) <= options.band])
     return np.concatenate(kept)[: options.count]
 
 
-def ray_points(scene: o3d.t.geometry.RaycastingScene, box: np.ndarray, options: Options) -> np.ndarray:
+def ray_points(distance: Distance, box: np.ndarray, options: Options) -> np.ndarray:
     """(count, 3) float32: samples 5 mm apart along rays of cameras in a ring, ray after ray, those in the
     band."""
     rng = np.random.default_rng(options.seed)
@@ -92,7 +94,7 @@ def ray_points(scene: o3d.t.geometry.RaycastingScene, box: np.ndarray, options: 
         way = rng.uniform(box[0], box[1], (2000, 3)) - eye
         way /= np.linalg.norm(way, axis=1, keepdims=True)
         x = (eye + way[:, None] * along[:, None]).reshape(-1, 3).astype(np.float32)
-        kept.append(x[scene.compute_distance(o3d.core.Tensor(x)).numpy() <= options.band])
+        kept.append(x[distance(x) <= options.band])
     return np.concatenate(kept)[: options.count]
 
 
@@ -116,6 +118,7 @@ def machine() -> str:
 
 def main(options: Options) -> None:
     """Measures and prints one table."""
+    open3d = require("open3d", "bench")
     console = Console(width=120)
     console.print(machine())
     table = Table(title=f"Million queries a second within {options.band} m; ratio to Open3D in brackets")
@@ -126,8 +129,12 @@ def main(options: Options) -> None:
         table.add_column(column, justify="left" if column in ("mesh", "queries") else "right")
     for name in options.mesh:
         vertices, faces = load(name)
-        scene = o3d.t.geometry.RaycastingScene()
+        scene = open3d.t.geometry.RaycastingScene()
         scene.add_triangles(vertices.astype(np.float32), faces.astype(np.uint32))
+
+        def distance(x: np.ndarray, scene: Any = scene) -> np.ndarray:
+            return scene.compute_distance(open3d.core.Tensor(x)).numpy()
+
         tree = igl.AABB()
         tree.init(vertices, faces)
         surface = Surface(faces, np.zeros((1, 2)), np.zeros_like(faces), vertices)
@@ -135,10 +142,9 @@ def main(options: Options) -> None:
         posed = PosedSurface(surface, flat, options.band)
         box = np.stack([vertices.min(0), vertices.max(0)])
         for kind, make in (("band", band_points), ("rays", ray_points)):
-            x = make(scene, box, options)
-            query, tensor, few = (
-                mi.Point3f(np.ascontiguousarray(x.T)), o3d.core.Tensor(x), x[: options.igl_count]
-            )
+            x = make(distance, box, options)
+            query, tensor = mi.Point3f(np.ascontiguousarray(x.T)), open3d.core.Tensor(x)
+            few = x[: options.igl_count]
             few64 = few.astype(np.float64)
             dr.eval(query)
             works: dict[str, Callable[[], object]] = {
