@@ -35,12 +35,9 @@ class Located:
     @classmethod
     def anywhere(cls, valid: mi.Bool) -> Located:
         """Points of a field that has no surface; only `valid` and the weight, which is 1, have a meaning."""
-        width = dr.width(valid)
-        return cls(
-            dr.zeros(mi.UInt32, width), dr.zeros(mi.Point2f, width), dr.zeros(mi.Float, width),
-            dr.zeros(mi.Normal3f, width), dr.zeros(mi.Point3f, width), mi.Bool(valid),
-            dr.full(mi.Float, 1.0, width),
-        )
+        located = dr.zeros(cls, dr.width(valid))
+        located.valid, located.weight = mi.Bool(valid), dr.full(mi.Float, 1.0, dr.width(valid))
+        return located
 
 
 @dataclass
