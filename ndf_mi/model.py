@@ -56,9 +56,7 @@ class PosedModel:
     """A :class:`Model` with parameters at one pose: a `VolumeField`, also for media.
 
     Args:
-        model: architecture and coordinates.
         parameters: of the networks; gradients flow to them.
-        surface: the posed body, reusable as long as the pose stays.
         pose: flat (3·J) axis-angles.
         occupancy: leaves out what is empty while training.
         networks: one of `NETWORKS`.

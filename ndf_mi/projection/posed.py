@@ -52,12 +52,10 @@ class PosedSurface:
     """A :class:`Surface` in one pose, ready for queries.
 
     Args:
-        surface: the mesh.
         vertices: flat (3·V), world, metres; may carry gradients.
         band: δ > 0, metres: nothing farther from the surface than this is searched.
 
     Attributes:
-        surface, vertices, band: as given.
         bbox: world box, slightly padded, of every point whose distance is at most the band.
 
     Raises:

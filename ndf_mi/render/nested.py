@@ -49,8 +49,8 @@ class Layers:
     shells: list[tuple[np.ndarray, np.ndarray]] = field(repr=False)
 
     def locate(self, points: np.ndarray) -> np.ndarray:
-        """(N,) int64 layers of points (N, 3). Next to a shell it is the outer of the two possible layers; −1
-        where a point may be outside all shells."""
+        """(N,) int64 layers of points (N, 3): next to a shell the outer of the two; −1 where a point may be
+        outside all shells."""
         lowest, _ = corner_ranks(self.rank)
         return lowest[self.grid.index(points)].astype(np.int64) - 1
 
@@ -212,7 +212,6 @@ class Majorants:
     field changes.
 
     Args:
-        model: the field's.
         posed: the field at its pose, or sampled on a grid.
         vertices: flat (3·V) posed positions in metres.
         count: largest number of shells, at least 1.

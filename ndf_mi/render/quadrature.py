@@ -48,8 +48,7 @@ def quadrature(
 ) -> Radiance:
     """Renders `volume` along N rays (directions of unit length) with `samples` candidate samples each.
 
-    Differentiable in the rays and in everything that `volume.evaluate` is attached to. Where samples lie, and
-    which of them reach the networks, is detached.
+    Differentiable in the rays and in everything that `volume.evaluate` is attached to.
 
     Args:
         jitter, window, min_transmittance: as in :func:`ndf_mi.render.ray_samples.sample_rays`.

@@ -30,15 +30,11 @@ def box_interval(box: mi.BoundingBox3f, ray: mi.Ray3f) -> tuple[mi.Bool, mi.Floa
 def stratified(
     near: mi.Float, far: mi.Float, samples: int, jitter: mi.Float | None
 ) -> tuple[mi.Float, mi.Float]:
-    """Positions and widths of `samples` equal strata between near and far, ray by ray.
+    """Positions t and widths δ of `samples` equal strata between near and far (N): both N·samples, a ray's
+    samples adjacent and in rising t. The last stratum ends at far: no interval is infinite.
 
     Args:
-        near, far: N values.
         jitter: N·samples values in [0, 1), where in its stratum each sample lies; None for the centres.
-
-    Returns:
-        t and the stratum's width δ, both N·samples, a ray's samples adjacent and in rising t. The last
-        stratum ends at far: no interval is infinite.
     """
     rays = dr.width(near)
     index = dr.arange(mi.UInt32, rays * samples)

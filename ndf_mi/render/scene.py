@@ -55,7 +55,6 @@ def render_scene(
     """Renders a scene with its own integrator.
 
     Args:
-        sensor: which of its sensors.
         spp: samples a pixel; 0 for the sampler's own.
         size: width and height in pixels, or the film's own.
 

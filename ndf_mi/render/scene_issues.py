@@ -39,7 +39,7 @@ MOST_HITS = 256
 
 
 def scene_issues(scene: mi.Scene) -> list[str]:
-    """Finds what renders wrongly and silently.
+    """What renders wrongly and silently: one or two sentences for each issue, with the repair.
 
     - a shape without a surface and without a medium, such as an `ndf_shell` that was given a run alone;
     - an integrator that ignores media, by itself or within another (`aov`, `moment`);
@@ -53,12 +53,6 @@ def scene_issues(scene: mi.Scene) -> list[str]:
 
     Under the package's own integrators only the first is an issue: they do not track media by surfaces, and
     warn of albedos themselves.
-
-    Args:
-        scene: as loaded.
-
-    Returns:
-        one or two sentences for each issue, with the repair; none for a scene without issues.
     """
     found = _empty_shapes(scene)
     holders = [shape for shape in scene.shapes()
@@ -84,14 +78,9 @@ def scene_issues(scene: mi.Scene) -> list[str]:
 
 
 def open_edges(vertices: np.ndarray, faces: np.ndarray) -> int:
-    """How many directed edges of a triangle mesh have no opposite one, where vertices at the same place
-    count as one; 0 for a closed mesh, also where more than two triangles share an edge (trimesh's
-    `is_watertight` calls that open).
-
-    Args:
-        vertices: (V, 3).
-        faces: (F, 3) integers.
-    """
+    """How many directed edges of a mesh, vertices (V, 3) and faces (F, 3), have no opposite one, where
+    vertices at the same place count as one; 0 for a closed mesh, also where more than two triangles share an
+    edge (trimesh's `is_watertight` calls that open)."""
     _, same = np.unique(vertices, axis=0, return_inverse=True)
     edges = trimesh.geometry.faces_to_edges(same.reshape(-1)[faces])
     ahead = trimesh.graph.edges_to_coo(edges, data=np.ones(len(edges), np.int64)).tocsr()
