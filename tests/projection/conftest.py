@@ -29,8 +29,8 @@ class Mesh:
     def pose(self, band: float = 0.2) -> PosedSurface:
         return PosedSurface(self.surface(), mi.Float(self.vertices.astype(np.float32).ravel()), band)
 
-    def point_of_texel(self, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The triangle whose chart a texel is in, and the surface's point there, from the texel alone."""
+    def point_of_uv(self, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The triangle whose chart (u, v) lies in, and the surface's point there, from (u, v) alone."""
         cell = np.floor(uv * self.side).astype(int)
         triangle = cell[:, 1] * self.side + cell[:, 0]
         a, b, c = (self.uv[self.uv_faces[triangle, k]].astype(np.float64) for k in range(3))

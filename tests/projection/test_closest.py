@@ -1,4 +1,4 @@
-"""Values: distance, sign, point, texel, validity."""
+"""Values: distance, sign, point, texture coordinates, validity."""
 
 from __future__ import annotations
 
@@ -104,14 +104,14 @@ def test_sign_at_a_sharp_corner(chart: Callable, points: Callable) -> None:
     np.testing.assert_array_equal((p["l"] < 0)[clear], (outside.max(1) < 0)[clear])
 
 
-def test_texel_gives_the_point_back_at_every_seam(mesh: Any, scatter: Callable, points: Callable) -> None:
+def test_uv_gives_the_point_back_at_every_seam(mesh: Any, scatter: Callable, points: Callable) -> None:
     rng = np.random.default_rng(3)
     edges = mesh.faces[rng.integers(len(mesh.faces), size=500)]
     on_edges = 0.5 * (mesh.vertices[edges[:, 0]] + mesh.vertices[edges[:, 1]])
     x = np.concatenate([scatter(mesh, 2000, 0.1), on_edges * 1.05, mesh.vertices * 1.05])
     p = values(mesh.pose().project(points(x)))
     valid = p["valid"].astype(bool)
-    triangle, point = mesh.point_of_texel(p["uv"][valid].astype(np.float64))
+    triangle, point = mesh.point_of_uv(p["uv"][valid].astype(np.float64))
     np.testing.assert_array_equal(triangle, p["triangle"][valid])
     np.testing.assert_allclose(point, p["point"][valid], atol=5e-6)
     again = (mesh.vertices[mesh.faces[triangle]] * p["barycentric"][valid][:, :, None]).sum(1)

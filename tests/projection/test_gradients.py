@@ -18,7 +18,7 @@ STEP = 1e-6
 
 def reference(vertices: np.ndarray, mesh: Any, triangle: np.ndarray,
               x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unsigned distance and texel of the closest point on the given triangles, in float64."""
+    """Unsigned distance and texture coordinates of the closest point on the given triangles, in float64."""
     corner = vertices[mesh.faces[triangle]]
     on = trimesh.triangles.closest_point(corner, x)
     weights = trimesh.triangles.points_to_barycentric(corner, on, method="cramer")

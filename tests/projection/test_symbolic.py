@@ -21,19 +21,19 @@ def test_in_a_symbolic_loop(mesh: Any, scatter: Callable, points: Callable) -> N
     start, end = points(scatter(mesh, 300, 0.3, seed=11)), points(scatter(mesh, 300, 0.3, seed=12))
     steps = 8
 
-    def step(i: mi.UInt32, total: mi.Float, texel: mi.Point2f) -> tuple[mi.UInt32, mi.Float, mi.Point2f]:
+    def step(i: mi.UInt32, total: mi.Float, uv: mi.Point2f) -> tuple[mi.UInt32, mi.Float, mi.Point2f]:
         p = posed.project(dr.lerp(start, end, mi.Float(i) / steps))
-        return i + 1, total + dr.select(p.valid, p.l, 0), texel + dr.select(p.valid, p.uv, 0)
+        return i + 1, total + dr.select(p.valid, p.l, 0), uv + dr.select(p.valid, p.uv, 0)
 
     state = (dr.zeros(mi.UInt32, 300), mi.Float(0), mi.Point2f(0))
-    _, total, texel = dr.while_loop(state, lambda i, *_: i < steps, step, mode="symbolic")
-    expected, expected_texel = mi.Float(0), mi.Point2f(0)
+    _, total, uv = dr.while_loop(state, lambda i, *_: i < steps, step, mode="symbolic")
+    expected, expected_uv = mi.Float(0), mi.Point2f(0)
     for i in range(steps):
         p = posed.project(dr.lerp(start, end, mi.Float(i) / steps))
         expected += dr.select(p.valid, p.l, 0)
-        expected_texel += dr.select(p.valid, p.uv, 0)
+        expected_uv += dr.select(p.valid, p.uv, 0)
     np.testing.assert_allclose(np.asarray(total), np.asarray(expected), atol=2e-6)
-    np.testing.assert_allclose(np.asarray(texel), np.asarray(expected_texel), atol=2e-4)
+    np.testing.assert_allclose(np.asarray(uv), np.asarray(expected_uv), atol=2e-4)
 
 
 def test_inside_a_medium_under_volpath(mesh: Any) -> None:
