@@ -76,29 +76,28 @@ def test_the_majorant_is_strictly_above_every_density():
     assert float(filled(np.zeros_like(values), (0, 0, 0)).majorant[0]) > 0
 
 
-def kernels_of_a_move() -> tuple[int, int]:
-    """How many kernels a picture launches after the medium was moved and filled again, and how many of them
-    were compiled."""
+def kernels_of_moves() -> list[bool]:
+    """Of each kernel that pictures launch after the medium is moved and filled again: whether it was compiled."""
     medium = filled(nodes(), (0, 0, 0))
     scene = scene_of(medium, np.zeros(3), "volpath")
-    mi.render(scene, spp=4, seed=0)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        medium.fill(mi.Float(nodes(1).ravel()), mi.Point3f(0.01, 0.02, 0.0), mi.Float(12.0))
-        mi.render(scene, spp=4, seed=1)
-        kernels = [kernel for kernel in dr.kernel_history([dr.KernelType.JIT])
-                   if kernel["execution_time"] >= 0]
-    return len(kernels), sum(not kernel["cache_hit"] for kernel in kernels if kernel["size"] > 1)
+        for move in range(8):
+            # Dr.Jit may order the same code in two ways; the first pictures compile both.
+            if move == 4:
+                dr.kernel_history_clear()
+            medium.fill(mi.Float(nodes(move).ravel()), mi.Point3f(0.01 * move, 0.02, 0.0), mi.Float(12.0))
+            mi.render(scene, spp=4, seed=move)
+        return [not kernel["cache_hit"] for kernel in dr.kernel_history([dr.KernelType.JIT])
+                if kernel["size"] > 1]
 
 
 def test_moving_and_filling_compile_nothing():
     # In a process of its own: kernels contain every medium that exists, those of other tests included.
     program = ("import runpy; from ndf_mi import variants; variants.use(); "
-               f"print(*runpy.run_path({__file__!r})['kernels_of_a_move']())")
+               f"print(*runpy.run_path({__file__!r})['kernels_of_moves']())")
     found = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert found.returncode == 0, found.stderr
-    launched, compiled = map(int, found.stdout.split())
-    assert launched > 0 and compiled == 0
+    assert found.stdout.split() and "True" not in found.stdout
 
 
 def test_wrong_sizes_are_named():
