@@ -183,7 +183,7 @@ def pose(run: Run, vertices: mi.Float) -> None:
 
 def sequence(run: Run, numbers: list[int], size: int) -> None:
     """Pictures of frames, from a run that shares the field but keeps no poses yet."""
-    fresh = Run(run.path, run.config, run.body, run.poses, run.model)
+    fresh = Run(run.path, run.config, run.body, run.poses, run.model, run.parameters)
     for number in numbers:
         camera = framing(run.poses.vertices[run.poses.index(number)], size, size)
         Setting(64).renderer()(fresh.posed(number), camera)

@@ -17,10 +17,9 @@ if TYPE_CHECKING:
     from ndf_mi.render.image import Image
     from ndf_mi.run import Run
 
-#: Options that apply only to runs, and their values when they are not given.
-RUN_ONLY = {
-    "capture": None, "azimuth": 0.0, "elevation": 5.0, "budget": None, "error": None, "stratified": False,
-    "samples": None, "cutoff": None, "networks": None}
+#: Options that apply only to runs.
+RUN_ONLY = (
+    "capture", "azimuth", "elevation", "budget", "error", "stratified", "samples", "cutoff", "networks")
 #: Options that a run's `ndf_mi.render.settings.Setting` is made of.
 SETTINGS = ("samples", "cutoff", "stratified", "networks", "spp")
 
@@ -170,8 +169,9 @@ class Render:
         from ndf_mi.render.scene import load_scene, render_scene
         from ndf_mi.render.scene_issues import scene_issues
 
-        for name, default in RUN_ONLY.items():
-            if getattr(self, name) != default:
+        for name in RUN_ONLY:
+            # Defaults of a dataclass are attributes of its class.
+            if getattr(self, name) != getattr(Render, name):
                 raise InputError(f"--{name}", "it together with a scene", "it only with a run")
         sensor = 0
         if self.camera is not None:

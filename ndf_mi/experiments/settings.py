@@ -11,11 +11,7 @@ from ndf_mi.experiments import protocols
 
 
 def at_least(settings: Any, **limits: int) -> None:
-    """Checks whole numbers by name; None stands for a default and passes.
-
-    Raises:
-        InputError: a number is below its limit.
-    """
+    """Raises InputError if a whole number is below its limit, by name; None stands for a default."""
     for name, low in limits.items():
         value = getattr(settings, name)
         if value is not None and value < low:
@@ -23,7 +19,7 @@ def at_least(settings: Any, **limits: int) -> None:
 
 
 def positive(settings: Any, *names: str) -> None:
-    """Checks that numbers are above 0 and finite; None stands for a default and passes. Raises InputError."""
+    """Raises InputError unless numbers are above 0 and finite; None stands for a default."""
     for name in names:
         value = getattr(settings, name)
         if value is not None and not 0 < value < math.inf:

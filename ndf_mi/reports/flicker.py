@@ -51,12 +51,8 @@ class Section:
 
 
 def flicker_section(results: Results, capture: Capture, pictures: Path) -> Section | None:
-    """A chart and strips for each sequence; None if none was measured.
-
-    Args:
-        results: what was measured; the sequences are those of the first method.
-        capture: the truth.
-        pictures: a folder for each method, by its key.
+    """A chart and strips for each sequence of the first method; None if none was measured. Arguments as of
+    `reports.compare.write_report`.
     """
     known = sorted(results.methods[0].flicker, key=lambda flicker: list(SPLITS).index(flicker.sequence.split))
     if not known:

@@ -159,12 +159,8 @@ class Rows:
 
 
 def picture_rows(results: Results, capture: Capture, pictures: Path) -> Rows:
-    """Up to `VIEWS` views of each split, with error maps that share one scale.
-
-    Args:
-        results: what was measured.
-        capture: the truth.
-        pictures: a folder for each method, by its key.
+    """Up to `VIEWS` views of each split, with error maps that share one scale; arguments as of
+    `reports.compare.write_report`.
     """
     views = {split: spread(results, split, VIEWS.get(split, 1)) for split in results.splits()}
     shots = {view: _shots(results, capture, pictures, view) for chosen in views.values() for view in chosen}
@@ -177,8 +173,6 @@ def spread(results: Results, split: str, count: int, inner: bool = False) -> lis
     """Views spread evenly over those of a split that count in its means and that every method has, by frame.
 
     Args:
-        results: what was measured.
-        split: whose views.
         count: how many at most.
         inner: leave the first and the last view out where others remain.
     """

@@ -31,10 +31,9 @@ _COLUMNS = (
 
 
 def write_trade_report(path: str | os.PathLike[str], trade: Trade, capture: Capture, folder: Path) -> None:
-    """Writes the HTML file, and `table.md` next to it.
+    """Writes the HTML file `path`, and `table.md` next to it.
 
     Args:
-        path: the HTML file.
         trade: what was measured.
         capture: the truth.
         folder: the study's folder; its subfolder `pictures` holds the pictures.
@@ -121,10 +120,7 @@ def _facts(trade: Trade) -> list[Fact]:
 def front_rows(group: Group, capture: Capture, pictures: Path) -> list[PictureRow]:
     """A row for a view of each split: the front's fastest point, knee and best point, each with its error.
 
-    Args:
-        group: the points.
-        capture: the truth.
-        pictures: a folder for each point, by its key, and for each converged picture.
+    `pictures` holds a folder for each point, by its key, and for each converged picture.
     """
     marked = (group.front[0], group.knee, group.front[-1])
     chosen = list(dict.fromkeys(index for index in marked if index is not None))

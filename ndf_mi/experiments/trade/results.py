@@ -148,8 +148,9 @@ class Trade(Struct):
         stream = io.StringIO()
         sheet = csv.writer(stream, lineterminator="\n")
         head = ["point", "axis", "label", "field", "integrator", *settings]
-        head += ["seconds_a_frame", "seconds_least", "seconds_most", "repeats", "session", "loading_seconds", "training_seconds"]
-        head += ["training_steps", "peak_bytes", *TRUTH, "converged_box_psnr", "model_box_psnr"]
+        head += ["seconds_a_frame", "seconds_least", "seconds_most", "repeats", "session"]
+        head += ["loading_seconds", "training_seconds", "training_steps", "peak_bytes"]
+        head += [*TRUTH, "converged_box_psnr", "model_box_psnr"]
         sheet.writerow(head)
         for row in self.rows:
             integrator = "volpath" if row.by_paths else "quadrature"

@@ -141,11 +141,8 @@ class TradeStudy:
         run_units([self._training(variant) for variant in self._variants], self._store, progress)
         self._renderings.fields |= {variant.key: Run.load(self._place(variant)) for variant in self._variants}
         run_units([self._unit(point) for point in self.points], self._store, progress)
-        keys = [self._renderings.cache_key(point) for point in self.points]
-        session = Session(
-            self.points, keys, self._renderings.timed, self._renderings.draw, self._machine,
-            self.settings.timed, self.settings.seed,
-        )
+        how = self._machine, self.settings.timed, self.settings.seed
+        session = Session(self.points, self._renderings, *how)
         run_units(session.units(self.settings.repeats), self._store, progress)
         self._fill(session.name)
         for row in self.trade.rows:

@@ -5,52 +5,45 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from ndf_mi.experiments.core import Unit
-from ndf_mi.experiments.records import View
 from ndf_mi.experiments.store import Store
 from ndf_mi.experiments.trade.points import Point
+from ndf_mi.experiments.trade.rendering import Renderings
 from ndf_mi.experiments.trade.results import Timing
 
 _FIRST_SEED = 3
 """Seed of path-traced pictures in the first repeat; later repeats count on."""
 
 
-@dataclass
 class Session:
-    """Conditions under which points are timed together. The kernels are compiled in a round that does not
-    count.
+    """Points that are timed in turns. The kernels are compiled in a round that does not count.
 
     Args:
         points: the points.
-        cache_keys: theirs.
-        views: the timed views of a point.
-        render: renders a point in a view, with a seed.
+        renderings: draws them.
         machine: as in `Timing`.
         timed: number of timed views.
         seed: seed of the orders.
+
+    Attributes:
+        name: a digest of the conditions.
     """
 
-    points: Sequence[Point]
-    cache_keys: Sequence[str]
-    views: Callable[[Point], Sequence[View]]
-    render: Callable[[Point, View, int], object]
-    machine: Mapping[str, str]
-    timed: int
-    seed: int
-    _compiled: bool = field(default=False, init=False)
-
-    @property
-    def name(self) -> str:
-        """A digest of the conditions."""
-        points = list(self.cache_keys)
-        return digest_of({"machine": dict(self.machine), "points": points, "timed": self.timed})
+    def __init__(
+        self, points: Sequence[Point], renderings: Renderings, machine: Mapping[str, str], timed: int, seed: int
+    ) -> None:
+        self._points, self._renderings, self._seed = points, renderings, seed
+        self._machine, self._timed = dict(machine), timed
+        self._cache_keys = {point.key: renderings.cache_key(point) for point in points}
+        self._compiled = False
+        keys = list(self._cache_keys.values())
+        self.name = digest_of({"machine": self._machine, "points": keys, "timed": timed})
 
     def units(self, repeats: int) -> list[Unit[Timing]]:
         """One unit a repeat."""
@@ -64,24 +57,23 @@ class Session:
         if not self._compiled:
             self._round(0)
             self._compiled = True
-        keys, taken = [point.key for point in self.points], self._round(repeat + 1)
-        cache_keys = dict(zip(keys, self.cache_keys, strict=True))
-        return Timing(dict(self.machine), self.timed, cache_keys, dict(zip(keys, taken, strict=True)))
+        return Timing(self._machine, self._timed, self._cache_keys, self._round(repeat + 1))
 
-    def _round(self, number: int) -> list[float]:
+    def _round(self, number: int) -> dict[str, float]:
         """Mean seconds of each point over its views. In each view, all points are rendered in an order drawn
         at random.
         """
-        rng = np.random.default_rng([self.seed, number])
-        taken: list[list[float]] = [[] for _ in self.points]
-        for turn in range(max(len(self.views(point)) for point in self.points)):
-            for index in rng.permutation(len(self.points)):
-                point = self.points[index]
-                if turn < len(self.views(point)):
+        rng = np.random.default_rng([self._seed, number])
+        views = [self._renderings.timed(point) for point in self._points]
+        taken: dict[str, list[float]] = {point.key: [] for point in self._points}
+        for turn in range(max(map(len, views))):
+            for index in rng.permutation(len(self._points)):
+                point = self._points[index]
+                if turn < len(views[index]):
                     begun = time.perf_counter()
-                    self.render(point, self.views(point)[turn], _FIRST_SEED + max(number - 1, 0))
-                    taken[index].append(time.perf_counter() - begun)
-        return [float(np.mean(seconds)) for seconds in taken]
+                    self._renderings.draw(point, views[index][turn], _FIRST_SEED + max(number - 1, 0))
+                    taken[point.key].append(time.perf_counter() - begun)
+        return {key: float(np.mean(seconds)) for key, seconds in taken.items()}
 
 
 def digest_of(conditions: Mapping[str, Any]) -> str:
