@@ -20,7 +20,7 @@ os.umask(_UMASK)
 
 
 def read_lines(path: Path, expected: str) -> list[str]:
-    """The lines of a UTF-8 file; raises InputError, with what is ``expected``, if it cannot be read as text."""
+    """The lines of a UTF-8 file. Raises InputError with what is ``expected`` if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError:

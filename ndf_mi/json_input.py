@@ -23,8 +23,8 @@ def load_json(path: Path, expected: str, repair: str = "") -> Any:
     """The value in a JSON file.
 
     Raises:
-        InputError: with what is `expected`, if there is no such file, or it cannot be read, is not JSON, or is
-            nested too deep for Python's reader.
+        InputError: with what is `expected`, if there is no such file, or it cannot be read, is not JSON, or
+        is nested too deep for Python's reader.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8-sig"))

@@ -168,8 +168,10 @@ def _check_loaded() -> Llvm | None:
     better = find()
     repair = (f"Import ndf_mi before drjit and mitsuba, or set {VARIABLE}={better.path}" if better else
               f"Install one: {install_command()}")
-    raise ImportError(f"Dr.Jit has loaded {llvm}, which aborts the process at the first render; LLVM {MINIMUM} "
-                      f"or newer is needed.\n  {repair}")
+    raise ImportError(
+        f"Dr.Jit has loaded {llvm}, which aborts the process at the first render; LLVM {MINIMUM} "
+        f"or newer is needed.\n  {repair}"
+    )
 
 
 def in_loader_cache() -> Iterator[Path]:

@@ -17,7 +17,7 @@ INSTALL_BODY = f"pip install --no-deps {BODY}"
 
 
 def require(module: str, extra: str) -> Any:
-    """Imports a module, such as ``igl``, of a package that an extra of ``ndf-mi``, such as ``atlas``, installs.
+    """Imports a module, such as ``igl``, that an extra of ``ndf-mi``, such as ``atlas``, installs.
 
     Raises:
         InputError: the package is not installed; the message has the command that installs it.

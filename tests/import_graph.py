@@ -11,7 +11,9 @@ import ndf_mi.plugins
 import ndf_mi.stability
 
 #: Packages by name; a checkout keeps all but the first outside of it.
-FOLDERS = {package.__name__: Path(package.__file__).parent for package in (ndf_mi, ndf_mi.plugins, ndf_mi.stability)}
+FOLDERS = {
+    package.__name__: Path(package.__file__).parent for package in (ndf_mi, ndf_mi.plugins, ndf_mi.stability)
+}
 
 
 def modules() -> dict[str, Path]:

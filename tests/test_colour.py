@@ -12,7 +12,9 @@ from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 
 def test_known_values():
     # Mid grey: linear 0.2140411 is sRGB 0.5; code 128 of 255 is linear 0.2158605.
-    np.testing.assert_allclose(srgb_to_linear(np.array([0.0, 0.5, 128 / 255, 1.0])), [0, 0.2140411, 0.2158605, 1], atol=1e-6)
+    np.testing.assert_allclose(
+        srgb_to_linear(np.array([0.0, 0.5, 128 / 255, 1.0])), [0, 0.2140411, 0.2158605, 1], atol=1e-6
+    )
     np.testing.assert_allclose(linear_to_srgb(np.array([0.0, 0.2140411, 1.0])), [0, 0.5, 1], atol=1e-6)
 
 

@@ -68,8 +68,14 @@ def test_health_needs_one_variant_and_the_body():
 
 def test_missing_package_is_named(monkeypatch, no_probes):
     monkeypatch.setattr(optional, "requirements", lambda: {"": ["numpy", "surely-not-there"]})
-    missing = [finding for finding in doctor.examine() if finding.name == "packages" and finding.state is State.MISSING]
-    assert missing[0].found == "surely-not-there" and missing[0].repair.endswith("pip install surely-not-there")
+    missing = [
+        finding
+        for finding in doctor.examine()
+        if finding.name == "packages" and finding.state is State.MISSING
+    ]
+    assert missing[0].found == "surely-not-there" and missing[0].repair.endswith(
+        "pip install surely-not-there"
+    )
 
 
 def test_missing_extras_are_listed_with_the_command_that_installs_them(monkeypatch, no_probes, capsys):

@@ -30,7 +30,9 @@ def test_replaces_only_on_success(tmp_path):
 def test_permissions_are_those_of_a_plain_file(tmp_path):
     (tmp_path / "plain").write_text("")
     files.write_text(tmp_path / "ours", "")
-    assert stat.S_IMODE((tmp_path / "ours").stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)
+    assert stat.S_IMODE((tmp_path / "ours").stat().st_mode) == stat.S_IMODE(
+        (tmp_path / "plain").stat().st_mode
+    )
 
 
 def test_text_and_json(tmp_path):

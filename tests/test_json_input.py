@@ -32,7 +32,8 @@ def test_missing_files_and_folders(tmp_path):
 
 
 @pytest.mark.parametrize(("value", "finite"), [
-    (1, True), (-2.5, True), (10**400, False), (math.nan, False), (math.inf, False), (True, False), ("1", False),
+    (1, True), (-2.5, True), (10**400, False), (math.nan, False), (math.inf, False), (True, False),
+    ("1", False),
     (None, False),
 ])  # fmt: skip
 def test_numbers(value, finite):

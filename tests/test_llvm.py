@@ -80,7 +80,13 @@ def test_unusable_files(tmp_path):
 
 
 def test_newest_usable_wins(monkeypatch, tmp_path):
-    for name in ("libLLVM-15.so.1", "libLLVM.so.17.0", "libLLVM.so.21.1", "libLLVM.so.9.0", "libLLVM.so.22.0"):
+    for name in (
+        "libLLVM-15.so.1",
+        "libLLVM.so.17.0",
+        "libLLVM.so.21.1",
+        "libLLVM.so.9.0",
+        "libLLVM.so.22.0",
+    ):
         (tmp_path / name).touch()
     monkeypatch.setattr(llvm, "folders", lambda: [tmp_path])
     monkeypatch.setattr(llvm, "in_loader_cache", lambda: iter(()))
@@ -92,7 +98,7 @@ def test_newest_usable_wins(monkeypatch, tmp_path):
 
 
 def test_none_or_too_old_means_none(tmp_path):
-    """Where only 15 and 16 exist, Dr.Jit must find nothing, and the message has the command that installs another."""
+    """Where only 15 and 16 exist, Dr.Jit finds nothing, and the message has the command to repair it."""
     (tmp_path / "libLLVM-15.so.1").touch()
     (tmp_path / "libLLVM-16.so.1").touch()
     code = """
@@ -115,7 +121,9 @@ def test_unsuitable_choice_of_the_user_is_replaced(tmp_path):
     good = llvm.find().path
     (tmp_path / "libLLVM.so.19").symlink_to(good)
     code = "import ndf_mi, drjit as dr; print(bool(dr.has_backend(dr.JitBackend.LLVM)))"
-    assert run_with_folder(tmp_path, code, DRJIT_LIBLLVM_PATH=str(tmp_path / "gone.so")).stdout.strip() == "True"
+    assert (
+        run_with_folder(tmp_path, code, DRJIT_LIBLLVM_PATH=str(tmp_path / "gone.so")).stdout.strip() == "True"
+    )
     assert run_with_folder(tmp_path / "none", code, DRJIT_LIBLLVM_PATH=good).stdout.strip() == "True"
 
 

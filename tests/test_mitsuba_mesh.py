@@ -35,7 +35,9 @@ def test_texture_coordinates_and_attributes_are_interpolated() -> None:
 
 
 @pytest.mark.parametrize(("smooth", "shading"), [(False, (0, 0, 1)), (True, (0.5**0.5, 0, 0.5**0.5))])
-def test_vertex_normals_of_smooth_meshes_follow_the_vertices(smooth: bool, shading: tuple[float, ...]) -> None:
+def test_vertex_normals_of_smooth_meshes_follow_the_vertices(
+    smooth: bool, shading: tuple[float, ...]
+) -> None:
     """Two squares that meet at a right angle along x = 0: at the fold, the vertex normals lie halfway."""
     vertices = np.array([[-1, 0, 0], [0, 0, 0], [0, 1, 0], [-1, 1, 0], [0, 0, -1], [0, 1, -1]],
                         dtype=np.float64)

@@ -57,12 +57,14 @@ assert calls == [v], calls
 mi.set_variant("scalar_rgb")
 assert calls == [v], calls
 """
-    result = subprocess.run([sys.executable, "-c", code, mi.variant()], capture_output=True, text=True, env=os.environ)
+    result = subprocess.run(
+        [sys.executable, "-c", code, mi.variant()], capture_output=True, text=True, env=os.environ
+    )
     assert result.returncode == 0, result.stderr
 
 
 def test_broken_drjit_is_a_plain_message(tmp_path):
-    """Dr.Jit answers a missing system library with a NameError; the command says which library, and leaves with 2."""
+    """Dr.Jit answers a missing system library with a NameError; the command names it and exits with 2."""
     (tmp_path / "drjit.py").write_text(
         "try:\n    raise ImportError('libatomic.so.1: cannot open')\nexcept ImportError:\n    undefined\n"
     )

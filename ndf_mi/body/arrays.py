@@ -68,8 +68,8 @@ def _numbers(values: Sequence[Any]) -> bool:
 
 
 def floats(where: str, array: np.ndarray, shape: Sequence[int | None]) -> np.ndarray:
-    """``array`` as contiguous float32; InputError at ``where`` unless it has ``shape`` (None: any length), and
-    numbers that are finite."""
+    """``array`` as contiguous float32; InputError at ``where`` unless it has ``shape`` (None: any length),
+    and numbers that are finite."""
     array = np.asarray(array)
     if array.dtype.kind not in "fiu":
         raise InputError(where, f"type {array.dtype}", "float32")

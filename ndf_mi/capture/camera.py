@@ -115,8 +115,8 @@ class Camera:
                crop: tuple[int, int, int, int] | None = None) -> dict[str, Any]:
         """This camera as the dictionary of a Mitsuba ``perspective`` sensor with an ``hdrfilm``.
 
-        ``sampler`` and ``rfilter`` name Mitsuba's plugins; ``crop`` is the x, y, width and height in pixels of
-        the part to render, by default the whole image. A camera with distortion or pixels that are not square
+        ``sampler`` and ``rfilter`` name Mitsuba's plugins; ``crop`` is the x, y, width and height of the part
+        to render in pixels, by default the whole image. A camera with distortion or pixels that are not square
         raises ValueError: use ``pinhole()``.
         """
         if not self.is_pinhole:

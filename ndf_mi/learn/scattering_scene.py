@@ -74,7 +74,8 @@ class ScatteringScene:
             shift: (3,) in [0, 1): the grid's offset in cells.
 
         Returns:
-            the field at the grid's nodes, and the nodes that paths see: replayed paths add to their gradients.
+            the field at the grid's nodes, and the nodes that paths see; replayed paths add
+            to their gradients.
         """
         low = mi.Point3f(*(float(v) for v in self._lows[frame] + self._cell * shift))
         dr.make_opaque(low)

@@ -110,7 +110,9 @@ def test_garments(anny: Body) -> None:
         assert mesh.is_winding_consistent and garment.faces.shape == garment.uv_faces.shape, name
         assert garment.weights.shape[1] == 31 and garment.shape_dirs.shape == (len(garment.template), 3, 6)
         np.testing.assert_allclose(garment.weights.sum(1), 1, atol=1e-5)
-        assert garment.uv_faces.max() == len(garment.uv) - 1 and garment.uv.min() >= 0 and garment.uv.max() <= 1
+        assert (
+            garment.uv_faces.max() == len(garment.uv) - 1 and garment.uv.min() >= 0 and garment.uv.max() <= 1
+        )
     tights = trimesh.Trimesh(garments["helper-tights"].template, garments["helper-tights"].faces,
                              process=False)
     sideways = tights.vertex_normals[:, 0] * np.sign(tights.vertices[:, 0])

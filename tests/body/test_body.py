@@ -108,7 +108,10 @@ class TestFiles:
     def test_damaged_header(self, small: Body, tmp_path: Path) -> None:
         """A bracket too few in an array's header ends in tokenize's own error, which is no ValueError."""
         small.write(tmp_path / "whole.npz")
-        with zipfile.ZipFile(tmp_path / "whole.npz") as whole, zipfile.ZipFile(tmp_path / "body.npz", "w") as damaged:
+        with (
+            zipfile.ZipFile(tmp_path / "whole.npz") as whole,
+            zipfile.ZipFile(tmp_path / "body.npz", "w") as damaged,
+        ):
             for name in whole.namelist():
                 damaged.writestr(name, whole.read(name).replace(b"}", b" ", 1))
         with pytest.raises(InputError, match="body.npz: found a damaged or truncated file"):

@@ -150,7 +150,9 @@ def test_refuses(tmp_path: Path, old: str, new: str, line: int, message: str) ->
 def chain(depth: int) -> str:
     """A chain of joints, each 1 above the one before, without motion."""
     opened = "".join(f"{'JOINT' if i else 'ROOT'} j{i}\n{{\nOFFSET 0 1 0\n" for i in range(depth))
-    return f"HIERARCHY\n{opened}CHANNELS 1 Xrotation\n" + "}\n" * depth + "MOTION\nFrames: 1\nFrame Time: 1\n0\n"
+    return (
+        f"HIERARCHY\n{opened}CHANNELS 1 Xrotation\n" + "}\n" * depth + "MOTION\nFrames: 1\nFrame Time: 1\n0\n"
+    )
 
 
 def test_deep_nesting(tmp_path: Path) -> None:

@@ -34,7 +34,9 @@ def test_normals_that_cancel_out_or_that_no_triangle_gives_are_zero() -> None:
 
 
 def test_opposite_half_edges_of_two_triangles() -> None:
-    np.testing.assert_array_equal(opposite_half_edges(np.array([[0, 1, 2], [2, 1, 3]])), [-1, 3, -1, 1, -1, -1])
+    np.testing.assert_array_equal(
+        opposite_half_edges(np.array([[0, 1, 2], [2, 1, 3]])), [-1, 3, -1, 1, -1, -1]
+    )
 
 
 def test_an_edge_of_three_triangles_has_no_opposite_half_edges() -> None:

@@ -145,7 +145,9 @@ def test_a_rig_of_its_own(small: Body) -> None:
     shift = have - source / 100
     np.testing.assert_allclose(shift, np.broadcast_to([0, shift[0, 0, 1], 0], shift.shape), atol=1e-5)
     rows = zip(motion.pose, motion.root_rotation, motion.translation, strict=True)
-    assert min(np.array(skin(body, *row)).reshape(-1, 3)[:, 1].min() for row in rows) == pytest.approx(0, abs=1e-5)
+    assert min(np.array(skin(body, *row)).reshape(-1, 3)[:, 1].min() for row in rows) == pytest.approx(
+        0, abs=1e-5
+    )
     centre = retarget(body, clip, place="centre").translation
     treadmill = retarget(body, clip, place="treadmill")
     assert np.abs([posed_joints(body, treadmill, row)["pelvis"][[0, 2]] for row in range(6)]).max() < 1e-5

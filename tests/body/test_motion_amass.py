@@ -137,7 +137,10 @@ def test_no_rotation_is_a_t_pose_of_the_default_body(anny: Body, tmp_path: Path)
             assert bones[side + name] @ [sign, 0, 0] > 0.99
         for name in ("UpLeg", "Leg"):
             assert bones[side + name] @ [0, -1, 0] > 0.98
-        rest = anny.joints[anny.joint_names.index(f"{side}ToeBase")] - anny.joints[anny.joint_names.index(f"{side}Foot")]
+        rest = (
+            anny.joints[anny.joint_names.index(f"{side}ToeBase")]
+            - anny.joints[anny.joint_names.index(f"{side}Foot")]
+        )
         np.testing.assert_allclose(bones[f"{side}Foot"], rest / np.linalg.norm(rest), atol=1e-5)
 
 

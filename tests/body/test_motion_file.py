@@ -46,7 +46,11 @@ def test_another_performers_poses_are_skinned(small: Body, poses: Poses, tmp_pat
     for shape in (None, np.array([0.25, 0.5], np.float32)):
         performance = read_performance(tmp_path / "poses.npz", small, poses, shape=shape)
         used = poses.shape if shape is None else shape
-        want = skin(small, poses.pose[2], poses.root_rotation[2], poses.translation[2], used).numpy().reshape(-1, 3)
+        want = (
+            skin(small, poses.pose[2], poses.root_rotation[2], poses.translation[2], used)
+            .numpy()
+            .reshape(-1, 3)
+        )
         np.testing.assert_allclose(performance.vertices(2), want, atol=1e-6)
 
 
@@ -133,7 +137,9 @@ def test_a_bvh_with_the_bodys_own_names(anny: Body, tmp_path: Path, own: str) ->
     """
     body, poses = smpl_like(anny)
     want = read_performance("jump", body, poses).motion
-    called = {INNER[name]: name if own == "SMPL's" else f"joint{j:02d}" for j, name in enumerate(body.joint_names)}
+    called = {
+        INNER[name]: name if own == "SMPL's" else f"joint{j:02d}" for j, name in enumerate(body.joint_names)
+    }
     body = dataclasses.replace(body, joint_names=tuple(called[INNER[name]] for name in body.joint_names))
     text = (Path(bvh.__file__).parent / "data" / "jump.bvh").read_text()
     renamed = re.sub(r"(ROOT|JOINT) (\w+)", lambda found: f"{found[1]} {called.get(found[2], found[2])}",

@@ -84,10 +84,15 @@ def test_the_default_body_knows_smpls_names(anny: Body, tmp_path: Path) -> None:
         ([{"time": 0, "joint": {}}], r"frames\[0\].joint: found an unknown key"),
         ([{"time": 0, "joints": {"elbow": [0, 0, 0]}}], "the joint 'elbow'; expected .*: chest, arm, leg"),
         ([{"time": 0, "joints": {"pelvis": [0, 0, 0]}}], "the joint 'pelvis'"),
-        ([{"time": 0, "joints": {"arm": [0, 0]}}], r"joints.arm: found \[0, 0\]; expected a list of length 3"),
+        (
+            [{"time": 0, "joints": {"arm": [0, 0]}}],
+            r"joints.arm: found \[0, 0\]; expected a list of length 3",
+        ),
         ([{"time": 0, "joints": {"arm": [0, "x", 0]}}], 'joints.arm.1.: found "x"; expected a finite number'),
-        ([{"time": 0, "joints": {"arm": [0, 10**400, 0]}}],
-         "joints.arm.1.: found 1000.*; expected a finite number"),
+        (
+            [{"time": 0, "joints": {"arm": [0, 10**400, 0]}}],
+            "joints.arm.1.: found 1000.*; expected a finite number",
+        ),
         ([{"time": 10**400}], r"frames\[0\].time: found 1000.*; expected a finite number"),
         ([{"time": 0, "root": [0, float("nan"), 0]}], "root.1.: found NaN; expected a finite number"),
     ],

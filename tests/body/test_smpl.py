@@ -53,7 +53,9 @@ def write(path: Path, held: dict[str, Any], protocol: int = 2) -> Path:
     return path
 
 
-def published(held: dict[str, Any], theta: np.ndarray, beta: np.ndarray, pose_blend_shapes: bool = True) -> np.ndarray:
+def published(
+    held: dict[str, Any], theta: np.ndarray, beta: np.ndarray, pose_blend_shapes: bool = True
+) -> np.ndarray:
     """Loper et al. 2015, equations 2 to 4 and 6 to 10, a vertex and a joint at a time; the first joint does
     not turn.
     """
@@ -125,7 +127,9 @@ def test_fields(tmp_path: Path) -> None:
 
 def test_the_tree_goes_by_names_not_places(tmp_path: Path) -> None:
     held = model()
-    held["kintree_table"] = np.where(held["kintree_table"] > 1000, 2**32 - 1, held["kintree_table"] + 100).astype(np.int64)
+    held["kintree_table"] = np.where(
+        held["kintree_table"] > 1000, 2**32 - 1, held["kintree_table"] + 100
+    ).astype(np.int64)
     held["J_regressor"] = held["J_regressor"].toarray()
     body = load_smpl(write(tmp_path / "smpl.npz", held), uv_file(tmp_path / "uv.npz", held["f"]))
     assert body.parents is not None and body.parents.tolist() == TREE
@@ -136,7 +140,9 @@ def test_texels_of_an_obj_in_another_order(tmp_path: Path) -> None:
     held = model()
     faces = held["f"].astype(int)
     rng = np.random.default_rng(4)
-    uv_of = {(tuple(sorted(face)), vertex): rng.random(2).round(6) for face in faces.tolist() for vertex in face}
+    uv_of = {
+        (tuple(sorted(face)), vertex): rng.random(2).round(6) for face in faces.tolist() for vertex in face
+    }
     lines = [f"v {x} {y} {z}" for x, y, z in held["v_template"]]
     corners = []
     for i in rng.permutation(len(faces)):
@@ -165,17 +171,28 @@ def test_without_a_uv_file_the_body_gets_one_chart(tmp_path: Path) -> None:
 
 SPOILT: dict[str, tuple[dict[str, Any], str]] = {
     "no weights": ({"weights": None}, "weights: found only v_template"),
-    "another number of vertices": ({"weights": np.full((50, 24), 1 / 24)},
-                                   r"weights: found shape \(50, 24\); expected shape \(60, any\)"),
-    "another number of joints": ({"J_regressor": np.full((52, 60), 1 / 60)},
-                                 r"J_regressor: found shape \(52, 60\)"),
-    "a short tree": ({"kintree_table": np.zeros((2, 23), np.uint32)}, r"kintree_table: found shape \(2, 23\)"),
+    "another number of vertices": (
+        {"weights": np.full((50, 24), 1 / 24)},
+        r"weights: found shape \(50, 24\); expected shape \(60, any\)",
+    ),
+    "another number of joints": (
+        {"J_regressor": np.full((52, 60), 1 / 60)},
+        r"J_regressor: found shape \(52, 60\)",
+    ),
+    "a short tree": (
+        {"kintree_table": np.zeros((2, 23), np.uint32)},
+        r"kintree_table: found shape \(2, 23\)",
+    ),
     "a tree of strangers": ({"kintree_table": np.full((2, 24), 5)}, "kintree_table: found a parent"),
     "faces of another mesh": ({"f": np.array([[0, 1, 6889]])}, "f: found values from 0 to 6889"),
-    "pose directions of another model": ({"posedirs": np.zeros((60, 3, 459))},
-                                         r"posedirs: found shape \(60, 3, 459\)"),
-    "ragged vertices": ({"v_template": [[0.0, 1.0, 2.0]] * 59 + [[0.0]]},
-                        "v_template: found rows of unequal length"),
+    "pose directions of another model": (
+        {"posedirs": np.zeros((60, 3, 459))},
+        r"posedirs: found shape \(60, 3, 459\)",
+    ),
+    "ragged vertices": (
+        {"v_template": [[0.0, 1.0, 2.0]] * 59 + [[0.0]]},
+        "v_template: found rows of unequal length",
+    ),
     "ragged faces": ({"f": [[0, 1, 2], [0, 1]]}, "f: found rows of unequal length"),
     "a ragged tree": ({"kintree_table": [[0] * 24, [1] * 23]}, "kintree_table: found rows of unequal length"),
     "NaN": ({"v_template": np.full((60, 3), np.nan)}, "v_template: found 180 values not finite"),

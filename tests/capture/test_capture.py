@@ -199,7 +199,9 @@ def test_check_lists_every_fault_at_once(box_capture: Path) -> None:
     assert all(key in text for key in ("units", "cameras[0].fl_x", "splits.x", "body.npz"))
 
 
-def test_check_sees_a_body_off_its_mask_and_a_background_that_is_not_the_one_declared(box_capture: Path) -> None:
+def test_check_sees_a_body_off_its_mask_and_a_background_that_is_not_the_one_declared(
+    box_capture: Path,
+) -> None:
     vertices = np.load(box_capture / "poses.npz")["vertices"]
     save_npz(box_capture / "poses.npz", vertices=vertices + np.float32([1.1, 0, 0]))
     edit(box_capture, lambda v: v.update(background=[0, 0, 0]))

@@ -76,7 +76,11 @@ def test_the_capture_is_sound_and_holds_the_images_of_its_splits_alone(tiny: Pat
     assert not set(train.cameras) & (set(view.cameras) | set(pose.cameras))
     assert set(view.frames) <= set(train.frames) and not set(pose.frames) & set(train.frames)
     sequence = capture.splits["sequence"]
-    assert len(sequence.cameras) == 1 and set(sequence.cameras) <= set(pose.cameras) and len(sequence.frames) == 2
+    assert (
+        len(sequence.cameras) == 1
+        and set(sequence.cameras) <= set(pose.cameras)
+        and len(sequence.frames) == 2
+    )
     assert not set(sequence.frames) & (set(train.frames) | set(pose.frames))
     # Successive frames at 30 Hz: centimetres from one to the next, where other frames are decimetres apart.
     first, second = (capture.poses.vertices[capture.poses.index(frame)] for frame in sequence.frames)
@@ -233,7 +237,9 @@ def test_one_kernel_renders_every_camera_and_frame(performer: Performer, poses: 
     assert kernels and sum(not kernel["cache_hit"] for kernel in kernels) == 0
 
 
-def test_pixels_left_out_are_those_that_the_performer_does_not_touch(performer: Performer, poses: Poses) -> None:
+def test_pixels_left_out_are_those_that_the_performer_does_not_touch(
+    performer: Performer, poses: Poses
+) -> None:
     """Mitsuba's own render of the whole image agrees in coverage and in mean colour."""
     camera = camera_ring(1, 64, poses.vertices, 0)["cam00"]
     studio = Studio(performer.layers, 256)
@@ -255,8 +261,14 @@ def test_one_pose_is_held_while_the_performer_turns_or_stands(kind: str) -> None
         turn = Rotation.from_rotvec([0, angle, 0])
         np.testing.assert_allclose(poses.vertices[row], turn.apply(poses.vertices[0]), atol=1e-5)
         # Poses.vertices are R X + t, of one X here.
-        back = Rotation.from_rotvec(poses.root_rotation[row]).inv().apply(poses.vertices[row] - poses.translation[row])
-        first = Rotation.from_rotvec(poses.root_rotation[0]).inv().apply(poses.vertices[0] - poses.translation[0])
+        back = (
+            Rotation.from_rotvec(poses.root_rotation[row])
+            .inv()
+            .apply(poses.vertices[row] - poses.translation[row])
+        )
+        first = (
+            Rotation.from_rotvec(poses.root_rotation[0]).inv().apply(poses.vertices[0] - poses.translation[0])
+        )
         np.testing.assert_allclose(back, first, atol=1e-5)
         gone = plan.heading(poses.root_rotation[row]) - plan.heading(poses.root_rotation[0]) - angle
         assert np.cos(gone) == pytest.approx(1, abs=1e-6)

@@ -86,7 +86,9 @@ def test_a_stopped_training_continues_where_it_will_be_saved(capture, tmp_path):
     again.load(tmp_path, capture)
     assert again.cache_key() == method.cache_key()
     seen.clear()
-    again.fit_in(tmp_path, capture, Budget(seconds=0.1, seed=3), lambda seconds, step, loss: seen.append(step))
+    again.fit_in(
+        tmp_path, capture, Budget(seconds=0.1, seed=3), lambda seconds, step, loss: seen.append(step)
+    )
     assert seen[0] == 1 and again.metadata()["seed"] == 3
 
 

@@ -77,7 +77,7 @@ def test_the_majorant_is_strictly_above_every_density():
 
 
 def kernels_of_moves() -> list[bool]:
-    """Of each kernel that pictures launch after the medium is moved and filled again: whether it was compiled."""
+    """Whether each kernel that pictures launch after the medium is moved and filled again was compiled."""
     medium = filled(nodes(), (0, 0, 0))
     scene = scene_of(medium, np.zeros(3), "volpath")
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):

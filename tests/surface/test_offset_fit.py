@@ -29,7 +29,8 @@ def assert_no_degenerate_triangle(capture, offsets: np.ndarray) -> None:
 
 
 def test_recovers_the_radius(shrunk_capture):
-    # A pixel is 3 cm at the sphere; the training images show it from four sides. Over seeds the mean varies by 0.8 mm.
+    # A pixel is 3 cm at the sphere; the training images show it from four sides. Over
+    # seeds the mean varies by 0.8 mm.
     offsets, fit = fitted(shrunk_capture)
     found = np.linalg.norm(shrunk_capture.body.template + offsets, axis=1)
     assert found.mean() == pytest.approx(RADIUS, abs=5e-3)

@@ -36,7 +36,8 @@ def test_offsets_move_like_the_skin():
     random = np.random.default_rng(2)
     share = np.clip(0.5 + vertices[:, 1], 0, 1)
     model = {
-        "joints": np.array([[0, -1.0, 0], [0, 0.1, 0]]), "joint_names": ("root", "top"), "parents": np.array([-1, 0]),
+        "joints": np.array([[0, -1.0, 0], [0, 0.1, 0]]), "joint_names": ("root", "top"),
+        "parents": np.array([-1, 0]),
         "weights": np.stack([1 - share, share], 1), "shape_dirs": random.normal(size=(*vertices.shape, 2)),
     }  # fmt: skip
     uv = np.zeros((1, 2))

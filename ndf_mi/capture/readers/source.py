@@ -99,7 +99,10 @@ class Selection:
             InputError: a chosen camera does not exist, or is used for training and testing; or no camera
                 remains.
         """
-        for option, chosen in (("--train-cameras", self.train_cameras), ("--test-cameras", self.test_cameras)):
+        for option, chosen in (
+            ("--train-cameras", self.train_cameras),
+            ("--test-cameras", self.test_cameras),
+        ):
             unknown = sorted(set(chosen) - set(names))
             if unknown:
                 raise InputError(option, unknown[0], f"cameras among {', '.join(names)}")

@@ -14,7 +14,7 @@ _SCALP, _FRINGE, _TIPS = -0.02, 0.034, -0.095
 
 
 def make_hair(naked: Sheet, eyes: np.ndarray, head: int) -> Layer:
-    """The hair on the body ``naked``, with eyes at (2, 3) ``eyes``, carried by the joint of index ``head``."""
+    """Hair on the body ``naked``, with eyes at (2, 3) ``eyes``, carried by the joint of index ``head``."""
     middle = eyes.mean(axis=0)
     crown = middle + [0, 0.03, -0.085]
     skull = naked.rest[(naked.rest[:, 1] > middle[1] + _SCALP) & (np.abs(naked.rest[:, 0]) < 0.15)]

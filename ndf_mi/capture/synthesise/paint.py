@@ -70,8 +70,8 @@ def shoes(rest: np.ndarray) -> np.ndarray:
 
 
 def skin(rest: np.ndarray, eyes: np.ndarray, lips: np.ndarray) -> np.ndarray:
-    """A face around eyeballs at ``eyes``, (2, 3): mottled skin, flushed cheeks and nose, brows, dark lids, and
-    lips of opacity ``lips``, (N,) in [0, 1]."""
+    """A face around eyeballs at ``eyes``, (2, 3): mottled skin, flushed cheeks and nose, brows, dark lids,
+    and lips of opacity ``lips``, (N,) in [0, 1]."""
     colour = np.tile(tone(206, 152, 122), (len(rest), 1))
     colour = colour * (1 + 0.05 * waves(rest, 0.04, 31) + 0.05 * waves(rest, 0.015, 32))[:, None]
     middle = eyes.mean(axis=0)

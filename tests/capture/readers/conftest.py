@@ -78,7 +78,9 @@ def ring(count: int, side: int, distortion: np.ndarray) -> dict[str, list[np.nda
     return cams
 
 
-def picture(cams: dict[str, list[np.ndarray]], i: int, vertices: np.ndarray, faces: np.ndarray, side: int) -> np.ndarray:
+def picture(
+    cams: dict[str, list[np.ndarray]], i: int, vertices: np.ndarray, faces: np.ndarray, side: int
+) -> np.ndarray:
     """(side, side) bool: triangles as OpenCV projects their corners, filled at four times the size."""
     rotation, _ = cv2.Rodrigues(cams["R"][i])
     points, _ = cv2.projectPoints(1000 * vertices.astype(np.float64), rotation, cams["T"][i], cams["K"][i],
@@ -93,7 +95,8 @@ def picture(cams: dict[str, list[np.ndarray]], i: int, vertices: np.ndarray, fac
 def name_of(number: int, camera: int, pattern: str) -> str:
     """An image's path in ``annots.npy``: as 313 and 315 have it, or as the others do."""
     if pattern == "numbered":
-        return f"Camera ({camera + 1})/CoreView_313_Camera_({camera + 1})_{number:04d}_2019-08-23_16-08-50.592.jpg"
+        name = f"Camera_({camera + 1})_{number:04d}_2019-08-23_16-08-50.592.jpg"
+        return f"Camera ({camera + 1})/CoreView_313_{name}"
     return f"Camera_B{camera + 1}/{number:06d}.jpg"
 
 

@@ -55,7 +55,10 @@ def raw(write_zju, tmp_path: Path) -> Path:
             for file in (image, mask):
                 file.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(written.folder / f"Camera_B{camera + 1}/{number:06d}.jpg", image)
-            label = np.asarray(Image.open(written.folder / f"mask_cihp/Camera_B{camera + 1}/{number:06d}.png")) > 0
+            label = (
+                np.asarray(Image.open(written.folder / f"mask_cihp/Camera_B{camera + 1}/{number:06d}.png"))
+                > 0
+            )
             Image.fromarray(np.where(label, np.uint8(255), np.uint8(0))).save(mask, quality=80)
     return folder
 
@@ -86,7 +89,9 @@ def test_cameras_are_spread_evenly(raw: Path) -> None:
     source = read_dynacap(raw, Selection(frames=1, test_frames=30))
     assert source.splits["train"].cameras == tuple(str(i) for i in range(15) if i % 3 != 1)
     assert source.splits["novel_view"].cameras == ("1", "4", "7", "10", "13")
-    assert source.splits["train"].frames == tuple(range(1, 1001)) and source.splits["novel_pose"].frames == tuple(range(1001, 1201, 30))
+    assert source.splits["train"].frames == tuple(range(1, 1001)) and source.splits[
+        "novel_pose"
+    ].frames == tuple(range(1001, 1201, 30))
 
 
 def test_fits_whose_names_have_leading_zeros(raw: Path) -> None:

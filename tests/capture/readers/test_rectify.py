@@ -27,7 +27,9 @@ def test_undistorts_as_opencv() -> None:
     # OpenCV's positions are fractions of 1/32 pixel, over which these waves change by up to half a step.
     assert np.abs(found.astype(int) - expected)[1:-1, 1:-1].max() <= 2
     mask = image[..., 0] > 127
-    expected_mask = cv2.undistort(mask.astype(np.uint8), matrix, np.array([-0.3, 0.1, 0.003, -0.002, 0.01])) > 0
+    expected_mask = (
+        cv2.undistort(mask.astype(np.uint8), matrix, np.array([-0.3, 0.1, 0.003, -0.002, 0.01])) > 0
+    )
     assert (Rectifier(camera, 1.0).mask(mask) == expected_mask).mean() > 0.98
 
 

@@ -60,7 +60,10 @@ def test_frames_cameras_and_files(write_zju, subject: str) -> None:
     names = [f"Camera_{i}" if numbered else f"Camera_B{i}" for i in range(1, cameras + 1)]
     assert list(source.calibrations) == names
     assert splits["train"].cameras == tuple(names[i] for i in (0, 6, 12, 18))
-    assert len(splits["novel_view"].cameras) == cameras - 4 and splits["novel_view"].cameras == splits["novel_pose"].cameras
+    assert (
+        len(splits["novel_view"].cameras) == cameras - 4
+        and splits["novel_view"].cameras == splits["novel_pose"].cameras
+    )
     assert splits["train"].frames == tuple(range(train[0], train[1] + 1))
     assert splits["novel_view"].frames == tuple(range(train[0], train[1] + 1, 30))
     assert splits["novel_pose"].frames == tuple(range(pose[0], pose[1] + 1, 30))
@@ -134,7 +137,11 @@ def test_fits_without_pose_blend_shapes_and_the_older_names(write_zju, smpl_file
     import_capture(read_zju(written.folder, selection=selection, size=None), tmp_path / "out", *smpl_file)
     assert problems(tmp_path / "out") == []
     capture = Capture.read(tmp_path / "out")
-    assert capture.body.pose_dirs is None and capture.splits["train"].frames == (1, 31) and capture.splits["novel_pose"].frames == (61,)
+    assert (
+        capture.body.pose_dirs is None
+        and capture.splits["train"].frames == (1, 31)
+        and capture.splits["novel_pose"].frames == (61,)
+    )
     for row, frame in enumerate(capture.poses.frames):
         x, y, z = written.truth[frame].T
         np.testing.assert_allclose(capture.poses.vertices[row], np.stack([x, z, -y], 1), atol=5e-6)
@@ -159,7 +166,9 @@ def test_the_command(write_zju, smpl_file, tmp_path: Path, capsys) -> None:
     assert not capture.body.skinned and capture.cameras["Camera_B1"].w == 256
 
 
-def test_differences_from_the_protocol_are_known_after_importing(write_zju, smpl_file, tmp_path: Path) -> None:
+def test_differences_from_the_protocol_are_known_after_importing(
+    write_zju, smpl_file, tmp_path: Path
+) -> None:
     """Every fifth frame, at another size and without a camera: enough for the protocol's least numbers, and
     reported in its notes.
     """
