@@ -116,8 +116,8 @@ class Camera:
         """This camera as the dictionary of a Mitsuba ``perspective`` sensor with an ``hdrfilm``.
 
         ``sampler`` and ``rfilter`` name Mitsuba's plugins; ``crop`` is the x, y, width and height of the part
-        to render in pixels, by default the whole image. A camera with distortion or pixels that are not square
-        raises ValueError: use ``pinhole()``.
+        to render in pixels, by default the whole image. A camera with distortion or pixels that are not
+        square raises ValueError: use ``pinhole()``.
         """
         if not self.is_pinhole:
             raise ValueError(f"camera {self.name} has distortion or non-square pixels: use camera.pinhole()")
