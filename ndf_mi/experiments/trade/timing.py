@@ -36,7 +36,8 @@ class Session:
     """
 
     def __init__(
-        self, points: Sequence[Point], renderings: Renderings, machine: Mapping[str, str], timed: int, seed: int
+        self, points: Sequence[Point], renderings: Renderings, machine: Mapping[str, str], timed: int,
+        seed: int,
     ) -> None:
         self._points, self._renderings, self._seed = points, renderings, seed
         self._machine, self._timed = dict(machine), timed
