@@ -38,12 +38,12 @@ def orbit(boxes: np.ndarray, w: int, h: int, fps: float, *, turns: float = 1.0, 
     # to the last.
     padded = np.pad(centres, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
     path = gaussian_filter1d(padded, sigma, axis=0)[margin : margin + len(boxes)]
-    radius = (0.5 * np.linalg.norm(boxes[:, 1] - boxes[:, 0], axis=1) + np.linalg.norm(centres - path,
-                                                                                       axis=1)).max()
+    halves, aside = (np.linalg.norm(v, axis=1) for v in (0.5 * (boxes[:, 1] - boxes[:, 0]), centres - path))
+    radius = (halves + aside).max()
     corner = np.full(3, radius / np.sqrt(3.0))
     angles = azimuth + 360.0 * turns * np.arange(len(boxes)) / len(boxes)
-    return [framing(np.stack([c - corner, c + corner]), w, h, float(a), elevation) for c,
-            a in zip(path, angles, strict=True)]
+    return [framing(np.stack([c - corner, c + corner]), w, h, float(a), elevation)
+            for c, a in zip(path, angles, strict=True)]
 
 
 def read_cameras(source: str, count: int, fps: float) -> list[Camera]:

@@ -68,13 +68,12 @@ class FrameFolder:
         except (FileNotFoundError, NotADirectoryError):
             if self.path.is_dir() and not all(files.is_left_over(file) for file in self.path.iterdir()):
                 raise InputError(self.path, f"a folder with other files and no {FILE_NAME}",
-                                 "an empty or new folder for frames",
-                                 repair) from None
+                                 "an empty or new folder for frames", repair) from None
             return {}
         except (OSError, ValueError) as error:
             raise InputError(path, f"a file that cannot be read ({error})", "JSON", repair) from None
-        valid = isinstance(document,
-                           dict) and document.get("format") == FORMAT and document.get("version") == VERSION
+        valid = (isinstance(document, dict) and document.get("format") == FORMAT
+                 and document.get("version") == VERSION)
         if not valid or not isinstance(document.get("frames"), dict):
             raise InputError(path, "another kind of document",
                              f"a list of frames, {FORMAT!r} version {VERSION}", repair)

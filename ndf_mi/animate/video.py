@@ -13,9 +13,8 @@ from ndf_mi.errors import InputError
 from ndf_mi.optional import require
 
 _CODEC = ["-crf", "16", "-preset", "slow", "-movflags", "+faststart", "-vf",
-          "scale=out_color_matrix=bt709:out_range=tv",
-          "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "iec61966-2-1", "-color_range",
-          "tv"]
+          "scale=out_color_matrix=bt709:out_range=tv", "-colorspace", "bt709", "-color_primaries", "bt709",
+          "-color_trc", "iec61966-2-1", "-color_range", "tv"]
 
 
 def check_suffix(path: str | os.PathLike[str]) -> None:

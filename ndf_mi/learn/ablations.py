@@ -46,8 +46,7 @@ ABLATIONS: dict[str, Ablation] = {
     "naked": Ablation(
         "naked model",
         "l = 0: density and colour exist only on the body's surface, in a layer of one centimetre with four "
-        "times as "
-        "many samples", _SKIN_LAYER, {"edge_weight": 0.0}, {"density_limit": 2000.0}),
+        "times as many samples", _SKIN_LAYER, {"edge_weight": 0.0}, {"density_limit": 2000.0}),
     "no-pose": Ablation(
         "without pose",
         "no network sees the pose: one field for all frames, except for the light on the turning normal",
@@ -55,8 +54,7 @@ ABLATIONS: dict[str, Ablation] = {
     "no-projection": Ablation(
         "without projection",
         "(x, y, z) replaces (u, v, l), and no network sees the closest point; the pose, the only input that "
-        "says "
-        "where the body is, has no noise",
+        "says where the body is, has no noise",
         {"coordinates": "world", "normal_octaves": -1, "direction": "view"}, {"pose_noise": 0.0}),
     "no-deform": Ablation("without deformation", "no deformation network between projection and field",
                           {"deformation_layers": ()}),

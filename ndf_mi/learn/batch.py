@@ -137,8 +137,7 @@ class BatchSampler:
         paths = PathSeeds(rng.random(3), int(rng.integers(2**32))) if scattering else None
         origin, direction, target, mask, mask_valid, in_box = rays
         return Batch(self._frames[row], origin, direction, target, mask, mask_valid, in_box, jitter,
-                     pose.ravel(),
-                     edge_active, paths)
+                     pose.ravel(), edge_active, paths)
 
     def _draw(self, rng: np.random.Generator, row: int, column: int, count: int) -> tuple[np.ndarray, ...]:
         view = self._views[row, column]

@@ -44,9 +44,13 @@ class Guard:
     """
 
     def __init__(self, optimisers: list[Any]) -> None:
-        self._optimisers = optimisers
         self.rate_factor = 1.0
         self.steps_refused = 0
+        self.watch(optimisers)
+
+    def watch(self, optimisers: list[Any]) -> None:
+        """Watches these optimisers in place of the ones before."""
+        self._optimisers = optimisers
         self._refused_since_snapshot = 0
         self._snapshots_in_a_row = 0
         self._last_stable = -1
@@ -56,10 +60,6 @@ class Guard:
         """Keeps the present state as the one to return to. Arrays are shared, not copied."""
         self._states = [{key: _detached(entry) for key, entry in optimiser.state.items()}
                         for optimiser in self._optimisers]
-
-    def inherit(self, other: Guard) -> None:
-        """Takes over the rate factor and the count of a guard whose optimisers these ones replace."""
-        self.rate_factor, self.steps_refused = other.rate_factor, other.steps_refused
 
     def gradients_finite(self, loss: mi.Float) -> bool:
         """Whether the step can be taken. Call it after the backward pass and before the optimisers' step.
@@ -119,12 +119,10 @@ class Guard:
         if self._refused_since_snapshot > PATIENCE:
             raise InputError(
                 f"step {step}",
-                f"{PATIENCE} refused steps: the loss, its gradients or the updated parameters were not "
-                "finite",
+                f"{PATIENCE} refused steps: loss, gradients or updated parameters were not finite",
                 "a training that continues with smaller steps",
-                f"The learning rate was reduced to {self.rate_factor:g} of the requested one without "
-                "success. Start "
-                "another run with a smaller one: `--option learning_rate=...`.")
+                f"Reducing the learning rate to {self.rate_factor:g} of the requested one did not help. "
+                "Start another run with a smaller one: `--option learning_rate=...`.")
         self.rate_factor *= FACTOR
 
     def _parameters(self) -> list[tuple[Any, str]]:

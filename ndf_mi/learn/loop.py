@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import platform
 import signal
@@ -16,7 +15,7 @@ from typing import Any, TextIO
 
 import drjit as dr
 import mitsuba as mi
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 import ndf_mi
 from ndf_mi import files
@@ -131,7 +130,9 @@ def train(trainer: Trainer, quiet: bool = False,
     last_save = time.perf_counter()
     board = Board(folder, trainer.progress.step, quiet)
     try:
-        with _Signals() as signals, _Bar(trainer, quiet) as bar, open(folder / LOG, "a") as log:
+        with _Signals() as signals, _bar(quiet) as bar, open(folder / LOG, "a") as log:
+            task = bar.add_task("training", total=1.0, psnr="")
+            bar.update(task, completed=trainer.done)
             while trainer.done < 1 and not signals.received:
                 taken = trainer.progress.step
                 try:
@@ -141,19 +142,18 @@ def train(trainer: Trainer, quiet: bool = False,
                     raise InputError(
                         error.where, error.found, error.expected,
                         f"{error.repair} The last good state is in {folder}: it can be rendered, and "
-                        "--resume "
-                        "continues from it with the reduced rates.".lstrip()) from error
+                        "--resume continues from it with the reduced rates.".lstrip()) from error
                 now = trainer.progress
                 if now.step == taken:
                     print(f"step {taken + 1} refused: its loss, gradients or parameters were not finite; "
-                          "continuing "
-                          f"from the last good state with learning rates × {now.rate_factor:g}", flush=True)
+                          f"continuing from the last good state with learning rates × {now.rate_factor:g}", flush=True)
                     continue
                 if progress is not None:
                     progress(now.seconds, now.step, now.error)
                 if now.step % _LOG_EVERY == 0 or trainer.done >= 1:
                     _log(log, board, trainer)
-                    bar.show()
+                    psnr = f"step {now.step}  {now.psnr:.2f} dB"
+                    bar.update(task, completed=trainer.done, psnr=psnr)
                 if time.perf_counter() - last_save > trainer.options.checkpoint_seconds:
                     trainer.save()
                     last_save = time.perf_counter()
@@ -172,33 +172,11 @@ def _finish(trainer: Trainer) -> None:
     files.write_json(run.path / "config.json", run.config)
 
 
-class _Bar:
+def _bar(quiet: bool) -> Progress:
     """A progress bar with the time remaining; hidden where standard error is no terminal."""
-
-    def __init__(self, trainer: Trainer, quiet: bool) -> None:
-        columns = (TextColumn("training"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
-                   TextColumn("{task.fields[psnr]}"), TimeElapsedColumn(),
-                   TextColumn("{task.fields[remaining]}"))
-        self._trainer = trainer
-        self._bar = Progress(*columns, disable=quiet or not sys.stderr.isatty())
-        self._task = self._bar.add_task("training", total=1.0, psnr="", remaining="")
-        self._bar.update(self._task, completed=trainer.done)
-        self._first, self._started = trainer.done, time.perf_counter()
-
-    def __enter__(self) -> _Bar:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def show(self) -> None:
-        """Shows the present state."""
-        done, now = self._trainer.done, self._trainer.progress
-        rate = (done - self._first) / (time.perf_counter() - self._started)
-        remaining = (1 - done) / rate if rate > 0 else math.inf
-        self._bar.update(self._task, completed=done, psnr=f"step {now.step}  {now.psnr:.2f} dB",
-                         remaining=f"{remaining:.0f} s left")
+    return Progress(TextColumn("training"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
+                    TextColumn("{task.fields[psnr]}"), TimeElapsedColumn(), TimeRemainingColumn(),
+                    disable=quiet or not sys.stderr.isatty())
 
 
 class _Signals:

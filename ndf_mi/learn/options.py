@@ -108,8 +108,7 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         for key in ("steps", "rays", "samples", "learning_rate", "grid_rate", "decay", "clip",
-                    "checkpoint_seconds",
-                    "cell"):
+                    "checkpoint_seconds", "cell"):
             self._check(key, 0 < getattr(self, key) < float("inf"), "a number above 0")
         for key in ("seconds", "pose_noise", "edge_kernel", "opacity_edge", "box_padding", "decay_steps",
                     "opacity_weight", "edge_weight", "edge_below", "seed", "min_transmittance", "warm_up"):

@@ -56,8 +56,8 @@ def relightable(preset: Preset) -> tuple[Preset, list[str]]:
     changes: dict[str, Any] = {
         "direction_octaves": -1, "direction": "view", "normal_octaves": -1, "pose_products": False,
         "density_limit": min(preset.density_limit, DENSITY_LIMIT), "density_activation": "softplus"}
-    changed = [f"{key}={_as_option(value)}" for key,
-               value in changes.items() if getattr(preset, key) != value]
+    changed = [f"{key}={f'{value:g}' if isinstance(value, float) else str(value).lower()}"
+               for key, value in changes.items() if getattr(preset, key) != value]
     return dataclasses.replace(preset, **changes), changed
 
 
@@ -132,10 +132,3 @@ class ScatteringStep:
         # Has the value of the error, and its gradients by way of the nodes.
         vjp = baked.vjp(dr.grad(nodes))
         return density_terms + (error + vjp - dr.detach(vjp)), statistics(radiance, posed, error)
-
-
-def _as_option(value: str | bool | float) -> str:
-    """A value as `--option` takes it."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return value if isinstance(value, str) else format(value, "g")

@@ -56,12 +56,17 @@ class ScatteringScene:
         nx, ny, nz = (int(n) for n in np.ceil(extent / cell) + 5)
         self._shape = (nx, ny, nz)
         largest = [max(len(shell[part]) for shell in shells.values()) for part in (0, 1)]
-        self._shells = {frame: tuple(_padded(array, count) for array,
-                                     count in zip(shell, largest, strict=True))
+        # The added rows are unused vertices and degenerate triangles.
+        self._shells = {frame: [np.pad(array, ((0, count - len(array)), (0, 0)))
+                                for array, count in zip(shell, largest, strict=True)]
                         for frame, shell in shells.items()}
         self._medium = mi.load_dict({"type": "ndf_grid", "nx": nx, "ny": ny, "nz": nz, "cell": cell})
-        first = next(iter(self._shells.values()))
-        self.scene = mi.load_dict({"type": "scene", **lights, "performer": _shell(self._medium, *first)})
+        props = mi.Properties("ndf_shell")
+        props.set_id("performer")
+        props["bsdf"] = mi.load_dict({"type": "null"})
+        props["interior"] = self._medium
+        performer = make_mesh("performer", *next(iter(self._shells.values())), props=props)
+        self.scene = mi.load_dict({"type": "scene", **lights, "performer": performer})
         self._parameters = mi.traverse(self.scene)
         self._frame: int | None = None
 
@@ -117,16 +122,3 @@ def expect_outside(run: Run, camera: Camera, frame: int, cell: float = SHELL_CEL
         f"a position {100 * found.l[0]:.1f} cm off the body, inside the performer's band or its shell",
         f"a camera at least {100 * reach:.1f} cm from the body, because paths start outside of media",
         "Remove the camera or the frame from the split.")
-
-
-def _padded(array: np.ndarray, count: int) -> np.ndarray:
-    """(count, 3): an array's rows and then zeros, which are unused vertices or degenerate triangles."""
-    return np.concatenate([array, np.zeros((count - len(array), 3), dtype=array.dtype)])
-
-
-def _shell(medium: mi.Medium, vertices: np.ndarray, faces: np.ndarray) -> mi.Mesh:
-    props = mi.Properties("ndf_shell")
-    props.set_id("performer")
-    props["bsdf"] = mi.load_dict({"type": "null"})
-    props["interior"] = medium
-    return make_mesh("performer", vertices, faces, props=props)

@@ -66,12 +66,11 @@ class QuadratureStep:
     def __call__(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Statistics]:
         radiance, posed = self._radiance(parameters, batch)
         loss = self._loss(radiance, mi.Color3f(batch.target), mi.Float(batch.mask),
-                          mi.Float(batch.mask_valid),
-                          mi.Float(batch.in_box), batch.edge_active)
+                          mi.Float(batch.mask_valid), mi.Float(batch.in_box), batch.edge_active)
         return loss.total, statistics(radiance, posed, loss.image, loss.box)
 
-    def density_terms(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Radiance,
-                                                                                PosedModel]:
+    def density_terms(self, parameters: FieldParameters, batch: Batch
+                      ) -> tuple[mi.Float, Radiance, PosedModel]:
         """The loss's terms in the density alone, one number, and what they were computed from."""
         radiance, posed = self._radiance(parameters, batch)
         mask, mask_valid = mi.Float(batch.mask), mi.Float(batch.mask_valid)

@@ -213,9 +213,7 @@ class Trainer:
         self._scattering_begun = True
         self.publish()
         self._make_optimisers()
-        guard = Guard(list(self.optimisers.values()))
-        guard.inherit(self._guard)
-        self._guard = guard
+        self._guard.watch(list(self.optimisers.values()))
         self._error = float("nan")
 
     def _update(self, batch: Batch) -> Statistics | None:

@@ -66,9 +66,7 @@ class Budget:
 class Renderer(Protocol):
     """Something that draws the performer of one capture: all that measuring needs.
 
-    Attributes:
-        key: the name in the registry and on the command line.
-        label: the name in tables and charts.
+    `key` is its name in the registry and on the command line, `label` that in tables and charts.
     """
 
     key: str
@@ -88,11 +86,7 @@ class Renderer(Protocol):
 
 
 class Trainable(Protocol):
-    """Something that is trained on a capture, or read from a folder where it was saved.
-
-    Attributes:
-        key, label: as in `Renderer`.
-    """
+    """Something that is trained on a capture, or read from a folder where it was saved."""
 
     key: str
     label: str

@@ -9,7 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ndf_mi.capture.camera import Camera
+from ndf_mi.body.box import BOX_PADDING, padded_box
+from ndf_mi.body.poses import Poses
+from ndf_mi.capture.camera import Camera, box_pixels
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.render.sampling import rounded
 
@@ -89,6 +91,38 @@ def _encode(linear: np.ndarray) -> np.ndarray:
     return np.clip(linear_to_srgb(np.maximum(linear, 0)), 0, 1)
 
 
-def noise_psnr(noise: float | None) -> dict[str, float]:
-    """The metadata `noise_psnr` from the mean squared error that noise makes in a picture; empty for None."""
-    return {} if noise is None else {"noise_psnr": -10 * math.log10(max(noise, 1e-12))}
+class LitPerformer:
+    """The performer in some light; a base class.
+
+    Args:
+        poses: of the performer.
+        band: metres around the body in which the performer can be seen; at least `BOX_PADDING` are rendered.
+        metadata: of its method and the samples a pixel.
+    """
+
+    def __init__(self, poses: Poses, band: float, metadata: dict[str, Any]) -> None:
+        self._poses = poses
+        self._padding = max(BOX_PADDING, band)
+        self._metadata = metadata
+        self._noise: float | None = None
+
+    def place(self, camera: Camera, frame: int) -> LitRenderer:
+        """The renderer of a scene with the performer at `frame`; raises InputError as `render`."""
+        raise NotImplementedError
+
+    def render(self, camera: Camera, frame: int) -> np.ndarray:
+        """(h, w, 3) float32 sRGB in [0, 1] over the background.
+
+        Raises:
+            InputError: the camera is where the performer cannot be seen from.
+        """
+        renderer = self.place(camera, frame)
+        low, high = padded_box(self._poses.vertices[self._poses.index(frame)], self._padding)
+        image, self._noise = renderer.render(camera, box_pixels(camera, low, high), frame)
+        return image
+
+    def metadata(self) -> dict[str, Any]:
+        """That of the method, samples a pixel, and `noise_psnr` of the last picture rendered."""
+        if self._noise is None:
+            return self._metadata
+        return {**self._metadata, "noise_psnr": -10 * math.log10(max(self._noise, 1e-12))}

@@ -11,15 +11,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ndf_mi.body.box import BOX_PADDING, padded_box
-from ndf_mi.capture.camera import Camera, box_pixels
+from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.learn.loop import expect_capture
 from ndf_mi.learn.scattering import SCATTERING
 from ndf_mi.learn.scattering_scene import ScatteringScene, expect_outside
 from ndf_mi.methods.base import Budget, Light, Progress
-from ndf_mi.methods.lit import LitRenderer, noise_psnr
+from ndf_mi.methods.lit import LitPerformer, LitRenderer
 from ndf_mi.run import Run
 
 LAYERS = 4
@@ -84,7 +83,7 @@ class RelightableField:
         return LitField(self._run, light, frames, spp, self._spacing, self.metadata())
 
 
-class LitField:
+class LitField(LitPerformer):
     """A run in some light: the field itself in nested shells, or on a grid.
 
     Args:
@@ -100,36 +99,25 @@ class LitField:
 
     def __init__(self, run: Run, light: Light, frames: Sequence[int], spp: int, spacing: float,
                  metadata: dict[str, Any]) -> None:
+        super().__init__(run.poses, run.model.band, {**metadata, "spp": spp})
         self._run = run
         self._light = light
         self._spp = spp
         self._spacing = spacing
-        self._metadata = {**metadata, "spp": spp}
         self._depth: int = metadata["max_depth"]
         self._grid = ScatteringScene(run, frames, light.emitters, spacing) if spacing else None
         self._frame: int | None = None
-        self._noise: float | None = None
 
-    def render(self, camera: Camera, frame: int) -> np.ndarray:
-        """(h, w, 3) float32 sRGB in [0, 1] over the run's background.
-
-        Raises:
-            InputError: the camera is inside the performer's band or its shell.
+    def place(self, camera: Camera, frame: int) -> LitRenderer:
+        """The renderer at `frame`. Raises InputError if the camera is inside the performer's band or its
+        shell.
         """
         expect_outside(self._run, camera, frame, self._spacing)
         if frame != self._frame:
             integrator = mi.load_dict({"type": "volpath", "max_depth": self._depth, "hide_emitters": True})
             self._renderer = LitRenderer(self._scene(frame), integrator, self._run.background, self._spp)
             self._frame = frame
-        vertices = self._run.poses.vertices[self._run.poses.index(frame)]
-        low, high = padded_box(vertices, max(BOX_PADDING, self._run.model.band))
-        image, noise = self._renderer.render(camera, box_pixels(camera, low, high), frame)
-        self._noise = noise
-        return image
-
-    def metadata(self) -> dict[str, Any]:
-        """That of the field, samples a pixel, and `noise_psnr` of the last picture rendered."""
-        return {**self._metadata, **noise_psnr(self._noise)}
+        return self._renderer
 
     def cache_key(self) -> str:
         """SHA-256 (hex) over the field's parameters, the light and how they are rendered."""

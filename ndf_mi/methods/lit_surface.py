@@ -7,20 +7,17 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.learn.loss import NoisyLoss
-from ndf_mi.methods.lit import LitRenderer
 from ndf_mi.render.replay import Replay
-from ndf_mi.surface.posed_mesh import PosedMesh
-from ndf_mi.surface.texture_fit import TRAIN_SPP, Texels, sampler_seed
-from ndf_mi.surface.textured import Rectangle
-from ndf_mi.surface.training_views import TrainingViews
+from ndf_mi.surface.posed_mesh import TRAIN_SPP, PosedMesh, View
 
 MAX_DEPTH = 3
 """Longest path, as synthetic captures are rendered: light reaches the camera by two reflections at most."""
+
+DEPTH = {"max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH + 1, "hide_emitters": True}
+"""Parameters of a path tracer."""
 
 
 class LitSurface(PosedMesh):
@@ -32,27 +29,28 @@ class LitSurface(PosedMesh):
         emitters: entries of a scene's dictionary.
     """
 
+    limit = 1.0
+
     def __init__(self, capture: Capture, size: int, emitters: Mapping[str, Any]) -> None:
         super().__init__(capture, size, diffuse=True, emitters=emitters)
-        self._behind = capture.background
-        depth = {"max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH + 1, "hide_emitters": True}
-        self._path = mi.load_dict({"type": "path", **depth})
-        self._replay = Replay(self.scene, mi.load_dict({"type": "prb", **depth}), self.background)
+        self._replay = Replay(self.scene, mi.load_dict({"type": "prb", **DEPTH}), self.background)
         self._noisy_loss = NoisyLoss(TRAIN_SPP)
         self._sampler = mi.load_dict({"type": "independent"})
 
-    def add_gradient(self, camera: Camera, rectangle: Rectangle, truth: np.ndarray, seed: int,
-                     weight: float) -> mi.Float:
-        """Adds the gradient of `weight` times the mean squared error to the texture's; returns the error, one
-        number.
+    def backward(self, linear: mi.TensorXf, views: Sequence[View], seeds: Sequence[int]) -> mi.Float:
+        """See `PosedMesh.backward`; the error is estimated without bias."""
+        # Several passes add to this leaf's gradient; the first one would otherwise free the graph behind it.
+        leaf = mi.TensorXf(dr.detach(linear))
+        dr.enable_grad(leaf)
+        self.set_texture(leaf)
+        losses = [self._add_gradient(view, seed, 1 / len(views))
+                  for view, seed in zip(views, seeds, strict=True)]
+        dr.backward(dr.sum(linear * dr.grad(leaf), axis=None))
+        return sum(losses[1:], losses[0]) / len(losses)
 
-        Args:
-            camera: a pinhole camera.
-            rectangle: the part of the image that is compared.
-            truth: (h, w, 3) sRGB in the rectangle.
-            seed: of the samples.
-            weight: of the error.
-        """
+    def _add_gradient(self, view: View, seed: int, weight: float) -> mi.Float:
+        """Adds the gradient of `weight` times a view's error to the texture's; returns the error."""
+        camera, rectangle, truth = view
         x, y, width, height = rectangle
         index = dr.arange(mi.UInt32, width * height * TRAIN_SPP) // TRAIN_SPP
         corner = mi.Point2f(mi.Float(index % width), mi.Float(index // width)) + dr.opaque(mi.Point2f, [x, y])
@@ -65,47 +63,3 @@ class LitSurface(PosedMesh):
         error, adjoint = self._noisy_loss(radiance, mi.Color3f(truth.reshape(-1, 3).T))
         self._replay.backward(ray, seed, radiance, adjoint * weight)
         return error
-
-    def lit_picture(self, camera: Camera, pixels: np.ndarray, spp: int,
-                    seed: int) -> tuple[np.ndarray, float]:
-        """The mesh with the texture and frame set last; arguments and result as for `LitRenderer.render`."""
-        return LitRenderer(self.scene, self._path, self._behind, spp).render(camera, pixels, seed)
-
-
-class ReflectanceFit:
-    """A reflectance in [0, 1] under optimisation; arguments and errors as for `TextureFit`, whose schedule
-    fits it, too.
-    """
-
-    def __init__(self, surface: LitSurface, capture: Capture, size: int, rate: float, seed: int,
-                 frames: Sequence[int] | None = None) -> None:
-        self._surface = surface
-        self._views = TrainingViews(capture, seed, frames)
-        self._seed = seed
-        self.frames = self._views.frames
-        self.texels = Texels(size, self._views.mean_colour(), rate, limit=1.0)
-
-    def set_rate(self, factor: float) -> None:
-        """Sets the learning rate to `factor` of its first value."""
-        self.texels.set_rate(factor)
-
-    def step(self, number: int) -> float:
-        """One update from the next frame's images; returns their mean squared error in sRGB, estimated
-        without bias.
-        """
-        frame, views = self._views.next()
-        self._surface.set_frame(frame)
-        linear = self.texels.linear
-        # Several passes add to this leaf's gradient; the first one would otherwise free the graph behind it.
-        leaf = mi.TensorXf(dr.detach(linear))
-        dr.enable_grad(leaf)
-        self._surface.set_texture(leaf)
-        losses = [
-            self._surface.add_gradient(camera, rectangle, truth,
-                                       sampler_seed(self._seed, number, index, len(views)), 1 / len(views))
-            for index, (camera, rectangle, truth) in enumerate(views)
-        ]
-        loss = sum(losses[1:], losses[0]) / len(losses)
-        dr.backward(dr.sum(linear * dr.grad(leaf), axis=None))
-        self.texels.step(loss)
-        return float(loss[0])

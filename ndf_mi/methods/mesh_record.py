@@ -1,10 +1,11 @@
-"""A trained mesh on disk: `mesh.json`, `mesh.safetensors`, and `texture.png` to look at."""
+"""Trained meshes: their record, and their files."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import mitsuba as mi
 import msgspec
@@ -20,6 +21,9 @@ from ndf_mi.surface.texture_fit import FittedTexture
 
 VERSION = 1
 
+RENDER_SPP = 64
+"""Samples a pixel of the pictures of meshes that emit their texture."""
+
 Tensors = dict[str, np.ndarray]
 """`texture` (size, size, 3) float32 sRGB, `seen` (size, size) uint8, and what a method adds."""
 
@@ -28,6 +32,7 @@ class MeshRecord(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """`mesh.json`: how a mesh was trained.
 
     Attributes:
+        tuned: names of the members that a search may have found.
         version: of the format.
         size: texels a side.
         rate: Adam's first learning rate of the texture, in sRGB units a step.
@@ -43,6 +48,8 @@ class MeshRecord(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
             rectangle of the body.
     """
 
+    tuned: ClassVar[tuple[str, ...]] = ("rate",)
+
     version: int = VERSION
     size: int
     rate: float
@@ -57,40 +64,78 @@ class MeshRecord(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     capture: str = ""
     history: list[tuple[int, float, float]] = []
 
-    def metadata(self, *tuned: str) -> dict[str, Any]:
-        """The members and the keys that `methods.base` lists; `tuned` names the members found by a search."""
+    @property
+    def note(self) -> str:
+        """One sentence for the report."""
+        return f"Learning rate {self.rate:g}."
+
+    def metadata(self) -> dict[str, Any]:
+        """The members, and keys that `methods.base` lists."""
         known = {name: getattr(self, name) for name in self.__struct_fields__ if name != "version"}
-        return {**known, "options": {"texture": self.size}, "tuned": {name: known[name] for name in tuned}}
+        tuned = {name: known[name] for name in self.tuned}
+        return {**known, "options": {"texture": self.size}, "tuned": tuned, "note": self.note}
 
 
 R = TypeVar("R", bound=MeshRecord)
 
 
-def record_of(kind: type[R], fitted: FittedTexture, budget: Budget, capture: Capture,
-              sweep_seconds: float = 0.0, **more: Any) -> R:
-    """The record of a fit; `more` are the members that `kind` adds, `sweep_seconds` their searches' time."""
-    rate, training = fitted.search, fitted.training
-    return kind(
-        size=len(fitted.texture), rate=rate.rate, sweep=rate.losses,
-        sweep_seconds=rate.seconds + sweep_seconds, budget=budget.seconds,
-        seconds=training.seconds, steps=training.steps, converged=training.converged,
-        seen=float(fitted.seen.mean()), seed=budget.seed, capture=capture.digest,
-        history=training.history, **more)
+class SavedMesh(Generic[R]):
+    """What the mesh methods share: how they are kept, described and identified."""
+
+    kind: type[R]
+    _record: R
+    _tensors: Tensors
+
+    def place(self, capture: Capture, size: int) -> None:
+        """Prepares what shows the body of a capture with a texture of `size` texels a side."""
+        raise NotImplementedError
+
+    def keep(self, fitted: FittedTexture, budget: Budget, capture: Capture, sweep_seconds: float = 0.0,
+             **more: Any) -> None:
+        """Takes over a fit; `more` are the members that `kind` adds, `sweep_seconds` their searches' time."""
+        rate, training = fitted.search, fitted.training
+        self._record = self.kind(
+            size=len(fitted.texture), rate=rate.rate, sweep=rate.losses,
+            sweep_seconds=rate.seconds + sweep_seconds, budget=budget.seconds,
+            seconds=training.seconds, steps=training.steps, converged=training.converged,
+            seen=float(fitted.seen.mean()), seed=budget.seed, capture=capture.digest,
+            history=training.history, **more)
+        self._tensors = {"texture": fitted.texture, "seen": fitted.seen.astype(np.uint8)}
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Writes `mesh.safetensors`, `texture.png` to look at, and `mesh.json` last."""
+        folder, texture = Path(folder), self._tensors["texture"]
+        with files.replacing(folder / "texture.png") as temporary:
+            mi.Bitmap(np.round(np.clip(texture, 0, 1) * 255).astype(np.uint8)).write(str(temporary))
+        with files.replacing(folder / "mesh.safetensors") as temporary:
+            temporary.write_bytes(save(self._tensors))
+        files.write_json(folder / "mesh.json", msgspec.to_builtins(self._record))
+
+    def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
+        """Reads what `save` wrote.
+
+        Raises:
+            InputError: as `read_mesh`.
+        """
+        self._record, self._tensors = read_mesh(folder, self.kind, capture)
+        self.place(capture, self._record.size)
+
+    def metadata(self) -> dict[str, Any]:
+        """The members of the record, and keys that `methods.base` lists."""
+        return self._record.metadata()
+
+    def cache_key(self) -> str:
+        """SHA-256 (hex) over texture, offsets, capture and samples a pixel."""
+        tensors = [self._tensors[name] for name in ("texture", "offsets") if name in self._tensors]
+        return mesh_key(self._record.capture, *tensors)
 
 
-def tensors_of(fitted: FittedTexture) -> Tensors:
-    """The tensors of a fit."""
-    return {"texture": fitted.texture, "seen": fitted.seen.astype(np.uint8)}
-
-
-def write_mesh(folder: str | os.PathLike[str], record: MeshRecord, tensors: Tensors) -> None:
-    """Writes a mesh into a folder, `mesh.json` last."""
-    folder = Path(folder)
-    with files.replacing(folder / "texture.png") as temporary:
-        mi.Bitmap(np.round(np.clip(tensors["texture"], 0, 1) * 255).astype(np.uint8)).write(str(temporary))
-    with files.replacing(folder / "mesh.safetensors") as temporary:
-        temporary.write_bytes(save(tensors))
-    files.write_json(folder / "mesh.json", msgspec.to_builtins(record))
+def mesh_key(capture: str, *tensors: np.ndarray) -> str:
+    """SHA-256 (hex) over samples a pixel, the digest of a capture, and what was fitted to it."""
+    state = hashlib.sha256(f"{RENDER_SPP} {capture}".encode())
+    for tensor in tensors:
+        state.update(tensor.tobytes())
+    return state.hexdigest()
 
 
 def read_mesh(folder: str | os.PathLike[str], kind: type[R], capture: Capture) -> tuple[R, Tensors]:

@@ -42,6 +42,9 @@ class NeuralField:
     Args:
         samples: candidate samples a ray.
         preset: the architecture that `fit` trains.
+
+    Attributes:
+        run: what is rendered, once trained or loaded.
     """
 
     key, label = "ndf", "NDF"
@@ -49,9 +52,6 @@ class NeuralField:
     def __init__(self, samples: int = 128, preset: str = "fast") -> None:
         self._renderer = ImageRenderer(samples=samples)
         self._preset = preset_of(preset)
-        self._run: Run | None = None
-        self._history: list[dict[str, Any]] = []
-        self._scratch: tempfile.TemporaryDirectory[str] | None = None
 
     @classmethod
     def of(cls, run: Run, samples: int = 128) -> NeuralField:
@@ -59,13 +59,6 @@ class NeuralField:
         method = cls(samples)
         method._take(run)
         return method
-
-    @property
-    def run(self) -> Run:
-        """The run that is rendered. Raises RuntimeError before `fit` or `load`."""
-        if self._run is None:
-            raise RuntimeError("a method renders after fit or load")
-        return self._run
 
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
         """Trains a run in a temporary folder; otherwise as `fit_in`."""
@@ -147,5 +140,5 @@ class NeuralField:
         return state.hexdigest()
 
     def _take(self, run: Run) -> None:
-        self._run = run
+        self.run = run
         self._history = read_training_log(run.path)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-from typing import Any
+from typing import ClassVar
 
 import mitsuba as mi
 import numpy as np
@@ -12,12 +10,10 @@ import numpy as np
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.methods.base import Budget, Progress
-from ndf_mi.methods.mesh_record import MeshRecord, read_mesh, record_of, tensors_of, write_mesh
+from ndf_mi.methods.mesh_record import RENDER_SPP, MeshRecord, SavedMesh
 from ndf_mi.surface.offset_fit import fit_offsets
 from ndf_mi.surface.rest_frames import RestFrames
 from ndf_mi.surface.textured import TexturedSurface
-
-RENDER_SPP = 64
 
 
 class OffsetRecord(MeshRecord, forbid_unknown_fields=True, kw_only=True):
@@ -29,13 +25,21 @@ class OffsetRecord(MeshRecord, forbid_unknown_fields=True, kw_only=True):
         offset_median_mm, offset_max_mm: of the offsets' lengths over the vertices.
     """
 
+    tuned: ClassVar[tuple[str, ...]] = ("rate", "offset_rate")
+
     offset_rate: float
     offset_sweep: dict[str, float] = {}
     offset_median_mm: float = 0.0
     offset_max_mm: float = 0.0
 
+    @property
+    def note(self) -> str:
+        """One sentence on the rates, one on the offsets."""
+        return (f"Learning rate {self.rate:g}, first step of the offsets {self.offset_rate:g} m. The offsets "
+                f"are {self.offset_median_mm:.0f} mm in the median and at most {self.offset_max_mm:.0f} mm.")
 
-class OffsetMesh:
+
+class OffsetMesh(SavedMesh[OffsetRecord]):
     """The posed body, moved by one set of vertex offsets for all frames, emits a texture.
 
     The offsets belong to the body at rest and move with its skin: the clothed shape is learned, changes of
@@ -48,6 +52,7 @@ class OffsetMesh:
     """
 
     key, label = "offset-mesh", "Mesh with offsets"
+    kind = OffsetRecord
 
     def __init__(self, texture: int = 512, rate: float | None = None,
                  offset_rate: float | None = None) -> None:
@@ -60,48 +65,22 @@ class OffsetMesh:
         """(V, 3) float32 metres at rest."""
         return self._tensors["offsets"]
 
+    def place(self, capture: Capture, size: int) -> None:
+        """Makes the surface and the frames of the offsets."""
+        self._surface, self._rest = TexturedSurface(capture, size), RestFrames(capture)
+
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
         """Fits texture and offsets together."""
-        self._place(capture, self._size)
+        self.place(capture, self._size)
         fitted = fit_offsets(self._surface, self._rest, capture, self._size, self._rate, self._offset_rate,
                              budget.seconds, budget.seed, progress)
         lengths = 1000 * np.linalg.norm(fitted.offsets, axis=1)
-        self._tensors = {**tensors_of(fitted.texture), "offsets": fitted.offsets}
-        self._record = record_of(
-            OffsetRecord, fitted.texture, budget, capture, sweep_seconds=fitted.search.seconds,
-            offset_rate=fitted.search.rate, offset_sweep=fitted.search.losses,
-            offset_median_mm=float(np.median(lengths)), offset_max_mm=float(lengths.max()))
+        self.keep(fitted.texture, budget, capture, fitted.search.seconds, offset_rate=fitted.search.rate,
+                  offset_sweep=fitted.search.losses, offset_median_mm=float(np.median(lengths)),
+                  offset_max_mm=float(lengths.max()))
+        self._tensors["offsets"] = fitted.offsets
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the capture's background, `RENDER_SPP` samples a pixel."""
         self._surface.set_vertices(mi.Float(self._rest.posed(frame, self.offsets).ravel()))
         return self._surface.picture(camera, self._tensors["texture"], RENDER_SPP)
-
-    def metadata(self) -> dict[str, Any]:
-        """The members of `OffsetRecord`, and keys that `methods.base` lists."""
-        r = self._record
-        note = (f"Learning rate {r.rate:g}, first step of the offsets {r.offset_rate:g} m. The offsets are "
-                f"{r.offset_median_mm:.0f} mm in the median and at most {r.offset_max_mm:.0f} mm.")
-        return {**r.metadata("rate", "offset_rate"), "note": note}
-
-    def cache_key(self) -> str:
-        """SHA-256 (hex) over texture, offsets, capture and samples a pixel."""
-        state = hashlib.sha256(f"{RENDER_SPP} {self._record.capture}".encode())
-        state.update(self._tensors["texture"].tobytes() + self.offsets.tobytes())
-        return state.hexdigest()
-
-    def save(self, folder: str | os.PathLike[str]) -> None:
-        """Writes `mesh.json`, `mesh.safetensors` with the offsets, and `texture.png` to look at."""
-        write_mesh(folder, self._record, self._tensors)
-
-    def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
-        """Reads what `save` wrote.
-
-        Raises:
-            InputError: as `read_mesh`.
-        """
-        self._record, self._tensors = read_mesh(folder, OffsetRecord, capture)
-        self._place(capture, self._record.size)
-
-    def _place(self, capture: Capture, size: int) -> None:
-        self._surface, self._rest = TexturedSurface(capture, size), RestFrames(capture)

@@ -21,8 +21,9 @@ without either as the experiment decides.
 
 from __future__ import annotations
 
-import importlib
 import inspect
+import pkgutil
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
@@ -64,10 +65,7 @@ class Entry:
         return {name: value for name, value in options.items() if name in parameters}
 
     def _make(self) -> Callable[..., Method]:
-        if not isinstance(self.factory, str):
-            return self.factory
-        module, _, name = self.factory.partition(":")
-        return getattr(importlib.import_module(module), name)  # type: ignore[no-any-return]
+        return pkgutil.resolve_name(self.factory) if isinstance(self.factory, str) else self.factory
 
 
 _ENTRIES = {
@@ -132,7 +130,9 @@ class MethodSpec:
     @property
     def name(self) -> str:
         """A name for files and records: the key, and the folder's or budget's name where there is one."""
-        more = self.budget if self.folder is None else _plain(self.folder.resolve().name)
+        more = self.budget
+        if self.folder is not None:
+            more = re.sub(r"[^\w.-]", "-", self.folder.resolve().name) or "folder"
         return f"{self.key}-{more}" if more else self.key
 
     def __str__(self) -> str:
@@ -196,9 +196,3 @@ def _load(point: EntryPoint) -> None:
         raise InputError(where, f"the key {getattr(method, 'key', None)!r}",
                          f"a class whose `key` is {point.name!r}")
     register(method)
-
-
-def _plain(name: str) -> str:
-    """A name of letters, digits, dots, hyphens and underscores."""
-    return "".join(c if c.isalnum() or c in "._-" else "-" for c in name) or "folder"
-

@@ -65,19 +65,20 @@ class Appearance:
 
     def __init__(self, observations: Observations, seed: int = 0) -> None:
         o = observations
+        self._cameras, self._frames = int(o.camera.max()) + 1, int(o.frame.max()) + 1
         size = CELL * float(np.median(o.footprint))
         place = boxes(o.rest, size, o.rest_normal)
-        key = (place * o.frames + o.frame) * o.cameras + o.camera
+        key = (place * self._frames + o.frame) * self._cameras + o.camera
         rows, row, count = np.unique(key, return_inverse=True, return_counts=True)
         drawn = np.random.default_rng(seed).permutation(place.max() + 1)
-        kept = drawn[rows // (o.frames * o.cameras)] < (place.max() + 1) * min(1.0, _MOST_ROWS / len(rows))
+        share = min(1.0, _MOST_ROWS / len(rows))
+        kept = drawn[rows // (self._frames * self._cameras)] < (place.max() + 1) * share
 
         def mean(values: np.ndarray) -> np.ndarray:
             return _mean(row, values)[kept]
 
-        self._cameras, self._frames = o.cameras, o.frames
-        self._place = np.unique(rows[kept] // (o.frames * o.cameras), return_inverse=True)[1]
-        self._frame, self._camera = rows[kept] // o.cameras % o.frames, rows[kept] % o.cameras
+        self._place = np.unique(rows[kept] // (self._frames * self._cameras), return_inverse=True)[1]
+        self._frame, self._camera = rows[kept] // self._cameras % self._frames, rows[kept] % self._cameras
         self._weight = count[kept].astype(np.float64)
         self._colour, self._shading, self._side = mean(o.colour), mean(o.shading), mean(o.to_camera_rest)
         mirrored = 2 * np.sum(o.normal * o.to_camera, axis=1, keepdims=True) * o.normal - o.to_camera
@@ -106,18 +107,16 @@ class Appearance:
         they see in two frames, from sides as far apart.
 
         Returns:
-            all of it, and the part that changes within a patch. Shading is constant across a patch, so that
-                part means
-            that something moves along the surface.
+            all of it, and the part that changes within a patch. Shading is constant across a patch, so this part
+            means that something moves along the surface.
         """
         if self._frames < 2 or self._cameras < 2:
             return UNKNOWN, UNKNOWN
         residual = self._residual
         if given_normal:
             everything = np.ones(len(residual), dtype=bool)
-            residual = residual - self._predicted(self._shading, self._colour - residual, residual,
-                                                  everything,
-                                                  everything, shading=True)
+            residual = residual - self._predicted(
+                self._shading, self._colour - residual, residual, everything, everything, shading=True)
         fine, coarse = self._shared(residual, self._place), self._shared(residual, self._patch)
         return fine, Estimate(fine.value - coarse.value, float(np.hypot(fine.error, coarse.error)))
 
@@ -141,8 +140,7 @@ class Appearance:
                          (self._camera * self._frames + self._frame)[known])
 
     def _predicted(self, x: np.ndarray, mean: np.ndarray, residual: np.ndarray, train: np.ndarray,
-                   test: np.ndarray,
-                   shading: bool) -> np.ndarray:
+                   test: np.ndarray, shading: bool) -> np.ndarray:
         """(R, 3) the residual as predicted from `x` (R, K), by ridge regression on `train` in each region.
 
         Args:

@@ -60,11 +60,11 @@ def detail(body: Body, rest: np.ndarray, observations: Observations, views: Sequ
     shown[observations.triangle] = True
     # Rays hit triangles smaller than a pixel by chance: those within a pixel of a triangle that was hit count
     # too.
-    shown |= _within(corners.mean(axis=1), shown, float(np.median(observations.footprint)))
+    centres, reach = corners.mean(axis=1), float(np.median(observations.footprint))
+    shown |= cKDTree(centres[shown]).query(centres, distance_upper_bound=reach)[0] < reach
     return Detail(noise, float(np.quantile(observations.footprint, 0.25)),
-                  float(np.quantile(uv_footprint, 0.25)),
-                  _lost(views, noise), float(area[shown].sum() / area.sum()),
-                  min(float(uv_area[shown].sum()), 1.0),
+                  float(np.quantile(uv_footprint, 0.25)), _lost(views, noise),
+                  float(area[shown].sum() / area.sum()), min(float(uv_area[shown].sum()), 1.0),
                   _parts(body, area, shown))
 
 
@@ -75,11 +75,6 @@ def _parts(body: Body, area: np.ndarray, shown: np.ndarray) -> dict[str, float]:
     count = len(body.joint_names)
     seen, every = np.bincount(joint, area * shown, minlength=count), np.bincount(joint, area, minlength=count)
     return {name: float(seen[i] / every[i]) for i, name in enumerate(body.joint_names) if every[i] > 0}
-
-
-def _within(points: np.ndarray, chosen: np.ndarray, reach: float) -> np.ndarray:
-    """(N,) bool: points closer than `reach` to a chosen one."""
-    return np.asarray(cKDTree(points[chosen]).query(points, distance_upper_bound=reach)[0] < reach)
 
 
 def _noise(views: Sequence[View]) -> float:

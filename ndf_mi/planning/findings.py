@@ -123,10 +123,8 @@ def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Pr
     deep = min(deep, full.band)
     driven, band = _ceil(deep / _USABLE) > band, max(band, _ceil(deep / _USABLE))
     evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the body and bodies {1e3 * inside:.0f} mm beyond "
-                "the masks, "
-                f"ignoring what costs less than {settings.worth:g} dB; a pixel spans "
-                f"{1e3 * detail.footprint:.0f} mm and "
-                "its blur reaches half of that further")
+                f"the masks, ignoring what costs less than {settings.worth:g} dB; a pixel spans "
+                f"{1e3 * detail.footprint:.0f} mm and its blur reaches half of that further")
     if outside >= REACH:
         evidence += f"; distances above {1e3 * REACH:.0f} mm were not measured"
     if driven:
@@ -150,14 +148,13 @@ def about_detail(detail: Detail, settings: PlanSettings, full: Preset) -> Findin
     cells = detail.atlas * finest**2 * max(math.ceil(finest * full.grid_l_scale), 1)
     entries = int(min(full.grid_entries, 2 ** math.ceil(math.log2(max(cells, 2**10)))))
     evidence = (f"a pixel spans {1e3 * detail.footprint:.1f} mm, {detail.uv_footprint:.4f} of the texture's "
-                "square; a blur "
-                f"by two pixels would cost {_decibels(detail.lost[2], settings):.2f} dB; noise is at most "
+                f"square; a blur by two pixels would cost {_decibels(detail.lost[2], settings):.2f} dB; noise is at most "
                 f"{detail.noise:.4f}; training images show {100 * detail.seen:.0f} % of the body's area, "
                 f"{100 * detail.atlas:.0f} % of the square")
     hardly_seen = sorted((share, name) for name, share in detail.parts.items() if share < _HARDLY_SEEN)
     if hardly_seen:
-        evidence += "; of these less than half: " + ", ".join(f"{name} ({100 * share:.0f} %)" for share,
-                                                              name in hardly_seen)
+        evidence += "; of these less than half: " + ", ".join(
+            f"{name} ({100 * share:.0f} %)" for share, name in hardly_seen)
     fewer = full.grid_levels - levels
     smaller = [(fewer > 0, f"{fewer} level{'' if fewer == 1 else 's'}"),
                (finest < full.grid_finest, f"cells below {1e3 * detail.footprint * blur / _CELLS:.0f} mm"),
@@ -167,8 +164,7 @@ def about_detail(detail: Detail, settings: PlanSettings, full: Preset) -> Findin
         f"a grid of {levels} levels up to {finest} cells a side, {entries:,} entries a level",
         _listed([part for is_so, part in smaller if is_so]),
         {"footprint_mm": 1e3 * detail.footprint, "texel": detail.uv_footprint, "noise": detail.noise,
-         "seen": detail.seen,
-         "atlas": detail.atlas, **{f"blur_{factor}": lost for factor, lost in detail.lost.items()},
+         "seen": detail.seen, "atlas": detail.atlas, **{f"blur_{factor}": lost for factor, lost in detail.lost.items()},
          **{f"seen_{name}": share for name, share in detail.parts.items()}},
         {"grid_finest": finest, "grid_levels": levels, "grid_entries": entries})
 

@@ -54,16 +54,6 @@ class Observations:
     camera: np.ndarray
     frame: np.ndarray
 
-    @property
-    def cameras(self) -> int:
-        """Number of cameras."""
-        return int(self.camera.max()) + 1
-
-    @property
-    def frames(self) -> int:
-        """Number of frames."""
-        return int(self.frame.max()) + 1
-
 
 @dataclass(frozen=True)
 class View:

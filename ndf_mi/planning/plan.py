@@ -98,8 +98,8 @@ class Plan:
         """The plan as JSON values."""
         findings = []
         for finding in self.findings:
-            values = {name: list(value) if isinstance(value, tuple) else value for name,
-                      value in finding.changes.items()}
+            values = {name: list(value) if isinstance(value, tuple) else value
+                      for name, value in finding.changes.items()}
             findings.append(asdict(finding) | {"changes": values})
         return {"format": FORMAT, "version": VERSION, "capture": self.capture, "looked_at": self.looked_at,
                 "settings": asdict(self.settings), "findings": findings, "preset": self.preset.to_dict()}

@@ -67,7 +67,10 @@ def standoff(capture: Capture, frames: Sequence[int], views: Sequence[View]) -> 
     """
     surface = Surface(capture.body.faces, capture.body.uv, capture.body.uv_faces, capture.poses.vertices[0])
     cameras = [capture.cameras[name] for name in capture.splits["train"].cameras]
-    contrast = _contrast(capture, views)
+    shown = sum(int(view.mask.sum()) for view in views)
+    squared = sum(float(((view.image[view.mask] - capture.background) ** 2).mean(axis=1).sum()) for view in views)
+    # The mean squared difference of the performer from the background.
+    contrast = squared / max(shown, 1)
     outside, inside = [(np.zeros(0), np.zeros(0))], [(np.zeros(0), np.zeros(0))]
     for row, frame in enumerate(frames):
         vertices = capture.poses.vertices[capture.poses.index(frame)]
@@ -80,7 +83,7 @@ def standoff(capture: Capture, frames: Sequence[int], views: Sequence[View]) -> 
             pixels = np.flatnonzero((view.body & ~view.mask).ravel())
             depth = np.maximum(-_smallest_distance(posed, camera, pixels), 0)
             inside.append((depth, np.full(len(pixels), contrast)))
-    return Standoff(_joined(outside), _joined(inside), sum(int(view.mask.sum()) for view in views))
+    return Standoff(_joined(outside), _joined(inside), shown)
 
 
 def _joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> Disagreement:
@@ -106,10 +109,3 @@ def _smallest_distance(posed: PosedSurface, camera: Camera, pixels: np.ndarray) 
         distance = np.where(np.array(found.valid), np.array(found.l), REACH)
         smallest.append(distance.reshape(-1, _POINTS).min(axis=1).astype(np.float64))
     return np.concatenate(smallest)
-
-
-def _contrast(capture: Capture, views: Sequence[View]) -> float:
-    """Mean squared difference of the performer from the background in sRGB."""
-    total = sum(float(((view.image[view.mask] - capture.background) ** 2).mean(axis=1).sum())
-                for view in views)
-    return total / max(sum(int(view.mask.sum()) for view in views), 1)

@@ -22,7 +22,8 @@ import trimesh
 
 from ndf_mi.body.mesh import opposite_half_edges
 from ndf_mi.capture.camera import Camera
-from ndf_mi.surface.textured import Rectangle, TexturedSurface
+from ndf_mi.surface.posed_mesh import Rectangle
+from ndf_mi.surface.textured import TexturedSurface
 
 SIDE = 0.02
 """Distance from a contour, in pixels, at which the radiance of its two sides is evaluated."""
@@ -118,9 +119,7 @@ class Contours:
         share = position * depth[start] / (position * depth[start] + (1 - position) * depth[end])
         world = vertices[start] + share[:, None] * (vertices[end] - vertices[start])
         return ContourSamples(
-            start,
-            end,
-            position,
+            start, end, position,
             point=ends[index, 0] + position[:, None] * along[index],
             normal=np.stack([along[index, 1], -along[index, 0]], axis=1) / length[:, None],
             distance=np.linalg.norm(world - camera.position, axis=1),

@@ -14,10 +14,11 @@ from ndf_mi.colour import linear_to_srgb
 from ndf_mi.surface import schedule as schedules
 from ndf_mi.surface.contours import Contours, contour_gradient
 from ndf_mi.surface.degenerate import degenerate_triangles, repair
+from ndf_mi.surface.posed_mesh import TRAIN_SPP
 from ndf_mi.surface.rest_frames import RestFrames
 from ndf_mi.surface.schedule import Progress, Schedule, Search, search, search_frames, train
 from ndf_mi.surface.smoothing import SmoothOffsets
-from ndf_mi.surface.texture_fit import TRAIN_SPP, FittedTexture, Texels, sampler_seed, search_rate
+from ndf_mi.surface.texture_fit import FittedTexture, Texels, sampler_seeds, search_rate
 from ndf_mi.surface.textured import TexturedSurface
 from ndf_mi.surface.training_views import TrainingViews
 
@@ -120,7 +121,7 @@ class OffsetFit:
         dr.enable_grad(vertices)
         self._surface.set_vertices(vertices)
         self._surface.set_texture(self.texels.linear)
-        seeds = (sampler_seed(self._seed, number, index, len(views)) for index in range(len(views)))
+        seeds = sampler_seeds(self._seed, number, len(views))
         layers = [self._surface.layers(camera, TRAIN_SPP, seed, rectangle)
                   for seed, (camera, rectangle, _) in zip(seeds, views, strict=True)]
         targets = [np.dstack([truth, self._views.coverage(camera, frame)]) for camera, _, truth in views]

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.colour import srgb_to_linear
 from ndf_mi.mitsuba_mesh import make_mesh, set_vertices
 from ndf_mi.surface.texture import split_seams
 
+Rectangle = tuple[int, int, int, int]
+"""x, y, width and height of a part of an image, in pixels."""
 
-class PosedMesh:
+View = tuple[Camera, Rectangle, np.ndarray]
+"""A pinhole camera, a rectangle of its image, and (h, w, 3) float32 sRGB in that rectangle."""
+
+TRAIN_SPP = 4
+"""Samples a pixel in training."""
+
+
+class PosedMesh(ABC):
     """One mesh for all frames: its vertices move, its topology and texture coordinates stay, and so do
     kernels.
 
@@ -32,7 +43,10 @@ class PosedMesh:
         scene: the Mitsuba scene with the mesh as `body`.
         bitmap: the texture, linear.
         background: linear radiance behind the mesh.
+        limit: largest value of a texel in sRGB; None for no limit.
     """
+
+    limit: ClassVar[float | None] = None
 
     def __init__(self, capture: Capture, size: int, diffuse: bool = False,
                  emitters: Mapping[str, Any] | None = None) -> None:
@@ -73,6 +87,17 @@ class PosedMesh:
     def hits(self, ray: mi.Ray3f, active: mi.Bool | bool = True) -> mi.Bool:
         """Whether rays meet the mesh before their end."""
         return self.scene.ray_test(ray, active)
+
+    @abstractmethod
+    def backward(self, linear: mi.TensorXf, views: Sequence[View], seeds: Sequence[int]) -> mi.Float:
+        """Sets the texture and propagates the views' mean squared error in sRGB back to what it was computed
+        from; returns the error, one number.
+
+        Args:
+            linear: (size, size, 3), attached.
+            views: of the frame set last.
+            seeds: of the samples, one a view.
+        """
 
     def _move(self, vertices: np.ndarray | mi.Float) -> None:
         set_vertices(self._parameters, vertices, "body")

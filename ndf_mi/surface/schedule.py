@@ -110,8 +110,34 @@ def train(fit: Fit, schedule: Schedule, seconds: float | None = None,
         seconds: wall-clock seconds; None trains to convergence, lowering the rates at plateaus.
         progress: called after each step.
     """
-    window = _Window(fit, schedule, progress)
-    return _for_seconds(fit, seconds, window) if seconds is not None else _to_convergence(fit, window)
+    start = time.perf_counter()
+    length = -(-schedule.window_steps // fit.frames) * fit.frames
+    training, losses = Training(), list[float]()
+    factor, best, drops = 1.0, np.inf, 0
+    fit.set_rate(factor)
+    while not training.steps or (training.steps < schedule.max_steps if seconds is None
+                                 else time.perf_counter() - start < seconds):
+        if seconds:
+            fit.set_rate(schedule.final_rate ** min((time.perf_counter() - start) / seconds, 1))
+        loss = fit.step(training.steps)
+        training.steps, training.seconds = training.steps + 1, time.perf_counter() - start
+        if progress is not None:
+            progress(training.seconds, training.steps, loss)
+        losses.append(loss)
+        if len(losses) < length:
+            continue
+        mean = float(np.mean(losses))
+        losses.clear()
+        training.history.append((training.steps, training.seconds, mean))
+        if seconds is None and mean > best * (1 - schedule.tolerance):
+            drops += 1
+            if drops > schedule.drops:
+                training.converged = True
+                break
+            factor *= schedule.drop
+            fit.set_rate(factor)
+        best = min(best, mean)
+    return training
 
 
 def train_steps(fit: Fit, schedule: Schedule, steps: int) -> float:
@@ -143,60 +169,3 @@ def search_frames(frames: Sequence[int], schedule: Schedule) -> list[int]:
         return []
     chosen = np.linspace(0, len(frames) - 1, schedule.search_frames).round().astype(int)
     return [frames[i] for i in np.unique(chosen)]
-
-
-class _Window:
-    """Takes steps, and averages their losses over windows into the history."""
-
-    def __init__(self, fit: Fit, schedule: Schedule, progress: Progress | None) -> None:
-        self._fit, self._progress = fit, progress
-        self._length = -(-schedule.window_steps // fit.frames) * fit.frames
-        self._losses: list[float] = []
-        self._start = time.perf_counter()
-        self.schedule = schedule
-        self.training = Training()
-
-    @property
-    def seconds(self) -> float:
-        return time.perf_counter() - self._start
-
-    def step(self) -> float | None:
-        """One step. The mean loss of the window that it completes, or None."""
-        known = self.training
-        loss = self._fit.step(known.steps)
-        known.steps, known.seconds = known.steps + 1, self.seconds
-        self._losses.append(loss)
-        mean = None
-        if len(self._losses) == self._length:
-            mean = float(np.mean(self._losses))
-            known.history.append((known.steps, known.seconds, mean))
-            self._losses.clear()
-        if self._progress is not None:
-            self._progress(known.seconds, known.steps, loss)
-        return mean
-
-
-def _for_seconds(fit: Fit, seconds: float, window: _Window) -> Training:
-    while not window.training.steps or window.seconds < seconds:
-        spent = min(window.seconds / seconds, 1) if seconds > 0 else 0.0
-        fit.set_rate(window.schedule.final_rate**spent)
-        window.step()
-    return window.training
-
-
-def _to_convergence(fit: Fit, window: _Window) -> Training:
-    schedule, best, drops, factor = window.schedule, np.inf, 0, 1.0
-    fit.set_rate(factor)
-    while window.training.steps < schedule.max_steps:
-        mean = window.step()
-        if mean is None:
-            continue
-        if mean > best * (1 - schedule.tolerance):
-            drops += 1
-            if drops > schedule.drops:
-                window.training.converged = True
-                break
-            factor *= schedule.drop
-            fit.set_rate(factor)
-        best = min(best, mean)
-    return window.training

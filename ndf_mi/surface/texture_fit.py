@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ndf_mi.capture.capture import Capture
-from ndf_mi.colour import linear_to_srgb, srgb_to_linear
+from ndf_mi.colour import srgb_to_linear
 from ndf_mi.surface import schedule as schedules
 from ndf_mi.surface.posed_mesh import PosedMesh
-from ndf_mi.surface.schedule import Fit, Progress, Schedule, Search, Training, search, search_frames, train
+from ndf_mi.surface.schedule import Progress, Schedule, Search, Training, search, search_frames, train
 from ndf_mi.surface.texture import fill_unseen
-from ndf_mi.surface.textured import TexturedSurface
 from ndf_mi.surface.training_views import TrainingViews
-
-TRAIN_SPP = 4
-"""Samples a pixel in training."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +86,7 @@ class Texels:
 
 
 class TextureFit:
-    """A texture of a surface that emits it; training frames in shuffled passes, up to four cameras a step.
+    """A texture under optimisation; training frames in shuffled passes, up to four cameras a step.
 
     Args:
         surface: the posed body; its frame and texture change as training goes.
@@ -105,13 +100,13 @@ class TextureFit:
         InputError: the capture has no training images, or no camera sees the body.
     """
 
-    def __init__(self, surface: TexturedSurface, capture: Capture, size: int, rate: float, seed: int,
+    def __init__(self, surface: PosedMesh, capture: Capture, size: int, rate: float, seed: int,
                  frames: Sequence[int] | None = None) -> None:
         self._surface = surface
         self._views = TrainingViews(capture, seed, frames)
         self._seed = seed
         self.frames = self._views.frames
-        self.texels = Texels(size, self._views.mean_colour(), rate)
+        self.texels = Texels(size, self._views.mean_colour(), rate, surface.limit)
 
     def set_rate(self, factor: float) -> None:
         """Sets the learning rate to `factor` of its first value."""
@@ -121,33 +116,14 @@ class TextureFit:
         """One update from the next frame's images; returns their sRGB mean squared error in the rectangle."""
         frame, views = self._views.next()
         self._surface.set_frame(frame)
-        self._surface.set_texture(self.texels.linear)
-        losses = []
-        for index, (camera, rectangle, truth) in enumerate(views):
-            seed = sampler_seed(self._seed, number, index, len(views))
-            image = linear_to_srgb(self._surface.render(camera, TRAIN_SPP, seed, rectangle))
-            losses.append(dr.mean(dr.square(image - mi.TensorXf(truth)), axis=None))
-        loss = sum(losses[1:], losses[0]) / len(losses)
-        dr.backward(loss)
+        loss = self._surface.backward(self.texels.linear, views, sampler_seeds(self._seed, number, len(views)))
         self.texels.step(loss)
-        return float(loss.array[0])
-
-
-class TexturedFit(Fit, Protocol):
-    """A fit that has a texture among what it optimises."""
-
-    texels: Texels
-
-
-MakeFit = Callable[..., TexturedFit]
-"""Makes a fit; called as `make(surface, capture, size, rate, seed, frames)`, with the meaning of
-`TextureFit`'s.
-"""
+        return float(loss[0])
 
 
 def fit_texture(surface: PosedMesh, capture: Capture, size: int, rate: float | None = None,
                 seconds: float | None = None, seed: int = 0, progress: Progress | None = None,
-                schedule: Schedule | None = None, make: MakeFit = TextureFit) -> FittedTexture:
+                schedule: Schedule | None = None) -> FittedTexture:
     """Fits a texture to the capture's `train` split by Adam on the sRGB mean squared error.
 
     Args:
@@ -160,25 +136,23 @@ def fit_texture(surface: PosedMesh, capture: Capture, size: int, rate: float | N
         seed: of the order of images and of the samples.
         progress: called after each step.
         schedule: when rates fall and when training ends.
-        make: the kind of fit, for surfaces that do not emit their texture.
 
     Raises:
         InputError: the capture has no training images, or no camera sees the body.
     """
     schedule = schedule or schedules.DEFAULT
-    found = Search(rate) if rate else search_rate(surface, capture, size, seed, schedule, make)
-    fit = make(surface, capture, size, found.rate, seed, None)
+    found = Search(rate) if rate else search_rate(surface, capture, size, seed, schedule)
+    fit = TextureFit(surface, capture, size, found.rate, seed)
     return fit.texels.fitted(found, train(fit, schedule, seconds, progress))
 
 
-def search_rate(surface: PosedMesh, capture: Capture, size: int, seed: int, schedule: Schedule,
-                make: MakeFit = TextureFit) -> Search:
+def search_rate(surface: PosedMesh, capture: Capture, size: int, seed: int, schedule: Schedule) -> Search:
     """The best learning rate of a texture; arguments as for `fit_texture`."""
     frames = search_frames(capture.splits["train"].frames, schedule)
-    return search(lambda rate: make(surface, capture, size, rate, seed, frames),
+    return search(lambda rate: TextureFit(surface, capture, size, rate, seed, frames),
                   schedule.texture_rates, schedule)
 
 
-def sampler_seed(seed: int, step: int, view: int, views: int) -> int:
-    """A seed for the samples of a view (of `views`) in a step."""
-    return (seed * 7919 + step) * views + view
+def sampler_seeds(seed: int, step: int, views: int) -> list[int]:
+    """A seed for the samples of each view in a step."""
+    return [(seed * 7919 + step) * views + view for view in range(views)]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.colour import linear_to_srgb, srgb_to_linear
-from ndf_mi.surface.posed_mesh import PosedMesh
-
-Rectangle = tuple[int, int, int, int]
-"""x, y, width and height of a part of an image, in pixels."""
+from ndf_mi.surface.posed_mesh import TRAIN_SPP, PosedMesh, Rectangle, View
 
 
 class TexturedSurface(PosedMesh):
@@ -25,6 +24,17 @@ class TexturedSurface(PosedMesh):
     def render(self, camera: Camera, spp: int, seed: int, rectangle: Rectangle | None = None) -> mi.TensorXf:
         """(h, w, 3) linear radiance over the capture's background; arguments as for `layers`."""
         return self.layers(camera, spp, seed, rectangle, coverage=False)
+
+    def backward(self, linear: mi.TensorXf, views: Sequence[View], seeds: Sequence[int]) -> mi.Float:
+        """See `PosedMesh.backward`."""
+        self.set_texture(linear)
+        losses = []
+        for seed, (camera, rectangle, truth) in zip(seeds, views, strict=True):
+            image = linear_to_srgb(self.render(camera, TRAIN_SPP, seed, rectangle))
+            losses.append(dr.mean(dr.square(image - mi.TensorXf(truth)), axis=None))
+        loss = sum(losses[1:], losses[0]) / len(losses)
+        dr.backward(loss)
+        return loss.array
 
     def picture(self, camera: Camera, texture: np.ndarray, spp: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the capture's background.

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
-from ndf_mi.surface.textured import Rectangle
+from ndf_mi.surface.posed_mesh import Rectangle, View
 
 CAMERAS_A_STEP = 4
 
@@ -53,15 +53,20 @@ class TrainingViews:
         self.frames = len(chosen)
         self._random = np.random.default_rng(seed)
         self._order: list[int] = []
-        bare = {frame: _bounds(capture, self._cameras, frame, 0.0) for frame in chosen}
-        smallest = self._largest(bare)
+        smallest = self._largest({frame: _bounds(capture, self._cameras, frame, 0.0) for frame in chosen})
         self.area = float(np.mean([np.prod(np.minimum(smallest, [c.w, c.h])) for c in self._cameras]))
-        self._corners = {frame: _bounds(capture, self._cameras, frame, margin) for frame in chosen}
-        self._extent = self._largest(self._corners)
-        pairs = [(index, frame) for frame in chosen for index in range(len(self._cameras))]
-        self._images = {pair: self._image(*pair) for pair in pairs}
-        self._coverages = {(self._cameras[index].name, frame): self._coverage(index, frame)
-                           for index, frame in pairs if masks}
+        corners = {frame: _bounds(capture, self._cameras, frame, margin) for frame in chosen}
+        extent = self._largest(corners)
+        self._views: dict[tuple[int, int], tuple[Rectangle, np.ndarray]] = {}
+        self._coverages: dict[tuple[str, int], np.ndarray] = {}
+        for frame in chosen:
+            for index, camera in enumerate(self._cameras):
+                rectangle = _rectangle(camera, corners[frame][index, 0], extent)
+                image = np.round(_cut(capture.image(camera.name, frame), rectangle) * 255).astype(np.uint8)
+                self._views[index, frame] = rectangle, image
+                if masks:
+                    coverage = _coverage(capture.mask(camera.name, frame))
+                    self._coverages[camera.name, frame] = _cut(coverage, rectangle).copy()
 
     def mean_colour(self) -> np.ndarray:
         """(3,) the mean sRGB of the performer in the first frame's images."""
@@ -70,17 +75,18 @@ class TrainingViews:
                   for camera in self._cameras]
         return np.concatenate(pixels).mean(axis=0)
 
-    def next(self) -> tuple[int, list[tuple[Camera, Rectangle, np.ndarray]]]:
-        """The next frame, and a view for each of up to four random cameras.
-
-        A view is a camera, a rectangle of its image, and (h, w, 3) float32 sRGB in that rectangle.
-        """
+    def next(self) -> tuple[int, list[View]]:
+        """The next frame, and a view for each of up to four random cameras."""
         if not self._order:
             self._order = self._random.permutation(len(self._frames)).tolist()
         frame = self._frames[self._order.pop()]
         count = min(CAMERAS_A_STEP, len(self._cameras))
         chosen = np.sort(self._random.permutation(len(self._cameras))[:count])
-        return frame, [self._view(int(index), frame) for index in chosen]
+        views = []
+        for index in chosen:
+            rectangle, image = self._views[int(index), frame]
+            views.append((self._cameras[index], rectangle, image.astype(np.float32) / np.float32(255)))
+        return frame, views
 
     def coverage(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 2) float32 in the view's rectangle: 1 on the performer's mask; 1 where the mask is valid.
@@ -102,28 +108,19 @@ class TrainingViews:
                              "training cameras that see the body")
         return np.ceil(extent).astype(int) + 2
 
-    def _view(self, index: int, frame: int) -> tuple[Camera, Rectangle, np.ndarray]:
-        image = self._images[index, frame].astype(np.float32) / np.float32(255)
-        return self._cameras[index], self._rectangle(index, frame), image
 
-    def _rectangle(self, index: int, frame: int) -> Rectangle:
-        camera = self._cameras[index]
-        width, height = (int(value) for value in np.minimum(self._extent, [camera.w, camera.h]))
-        low = np.floor(self._corners[frame][index, 0]).astype(int) - 1
-        x, y = (int(value) for value in np.clip(low, 0, [camera.w - width, camera.h - height]))
-        return x, y, width, height
+def _rectangle(camera: Camera, low: np.ndarray, extent: np.ndarray) -> Rectangle:
+    """The rectangle of this extent, or the camera's if that is smaller, from `low` on as far as it fits."""
+    width, height = (int(value) for value in np.minimum(extent, [camera.w, camera.h]))
+    x, y = np.clip(np.floor(low).astype(int) - 1, 0, [camera.w - width, camera.h - height])
+    return int(x), int(y), width, height
 
-    def _image(self, index: int, frame: int) -> np.ndarray:
-        """(h, w, 3) uint8 sRGB in the view's rectangle."""
-        image = _cut(self._capture.image(self._cameras[index].name, frame), self._rectangle(index, frame))
-        return np.round(image * 255).astype(np.uint8)
 
-    def _coverage(self, index: int, frame: int) -> np.ndarray:
-        """(h, w, 2) bool, see `coverage`."""
-        mask = self._capture.mask(self._cameras[index].name, frame)
-        around = np.ones((3, 3), dtype=bool)
-        valid = binary_erosion(mask, around, border_value=1) | ~binary_dilation(mask, around)
-        return _cut(np.stack([mask, valid], axis=-1), self._rectangle(index, frame)).copy()
+def _coverage(mask: np.ndarray) -> np.ndarray:
+    """(h, w, 2) bool, see `TrainingViews.coverage`."""
+    around = np.ones((3, 3), dtype=bool)
+    valid = binary_erosion(mask, around, border_value=1) | ~binary_dilation(mask, around)
+    return np.stack([mask, valid], axis=-1)
 
 
 def _cut(image: np.ndarray, rectangle: Rectangle) -> np.ndarray:

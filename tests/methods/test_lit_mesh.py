@@ -13,9 +13,10 @@ from ndf_mi.errors import InputError
 from ndf_mi.experiments import metrics
 from ndf_mi.methods.base import Budget, Light
 from ndf_mi.methods.lit_mesh import LitMesh, RelightableMesh
-from ndf_mi.methods.lit_surface import LitSurface, ReflectanceFit
+from ndf_mi.methods.lit_surface import LitSurface
 from ndf_mi.render.scene import lights
 from ndf_mi.surface.schedule import Schedule, train_steps
+from ndf_mi.surface.texture_fit import TextureFit
 
 
 @pytest.mark.long
@@ -33,7 +34,7 @@ def test_it_recovers_a_reflectance_and_shows_it_in_another_light(capture, tmp_pa
     shown = {view: day.render(cameras[view[0]], view[1]) for view in capture.splits["train"]}
     lit.image = lambda camera, frame: shown[camera, frame]
     lit.mask = lambda camera, frame: np.abs(shown[camera, frame] - capture.background).max(-1) > 0.02
-    fit = ReflectanceFit(LitSurface(lit, 16, known["day"].emitters), lit, 16, 0.05, 0)
+    fit = TextureFit(LitSurface(lit, 16, known["day"].emitters), lit, 16, 0.05, 0)
     train_steps(fit, Schedule(), 60)
     seen = fit.texels.seen()
     assert np.abs(fit.texels.values()[seen].mean(0) - plain[0, 0]).max() < 0.03
