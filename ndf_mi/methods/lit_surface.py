@@ -13,11 +13,10 @@ from ndf_mi.learn.loss import NoisyLoss
 from ndf_mi.render.replay import Replay
 from ndf_mi.surface.posed_mesh import TRAIN_SPP, PosedMesh, View
 
-MAX_DEPTH = 3
-"""Longest path, as synthetic captures are rendered: light reaches the camera by two reflections at most."""
-
-DEPTH = {"max_depth": MAX_DEPTH, "rr_depth": MAX_DEPTH + 1, "hide_emitters": True}
-"""Parameters of a path tracer."""
+DEPTH = {"max_depth": 3, "rr_depth": 4, "hide_emitters": True}
+"""Parameters of a path tracer, as synthetic captures are rendered: light reaches the camera by two
+reflections at most.
+"""
 
 
 class LitSurface(PosedMesh):
