@@ -146,7 +146,8 @@ def train(trainer: Trainer, quiet: bool = False,
                 now = trainer.progress
                 if now.step == taken:
                     print(f"step {taken + 1} refused: its loss, gradients or parameters were not finite; "
-                          f"continuing from the last good state with learning rates × {now.rate_factor:g}", flush=True)
+                          f"continuing from the last good state with learning rates × {now.rate_factor:g}",
+                          flush=True)
                     continue
                 if progress is not None:
                     progress(now.seconds, now.step, now.error)

@@ -65,7 +65,8 @@ class ImageLoss:
         error = dr.squared_norm(colour - target) / 3.0
         image, detached = dr.mean(error), dr.detach(error)
         box = None if in_box is None else dr.sum(dr.select(in_box > 0, detached, 0.0)) / dr.sum(in_box)
-        return Loss(image + self.density_terms(radiance, mask, mask_valid, edge_active), dr.detach(image), box)
+        return Loss(image + self.density_terms(radiance, mask, mask_valid, edge_active),
+                    dr.detach(image), box)
 
     def density_terms(self, radiance: Radiance, mask: mi.Float, mask_valid: mi.Float,
                       edge_active: bool) -> mi.Float:

@@ -43,8 +43,8 @@ class RelightableMesh(SavedMesh[MeshRecord]):
         """Fits the reflectance under the capture's own light, which must be known."""
         self.place(capture, self._size)
         surface = LitSurface(capture, self._size, lights_of(capture.known_lighting()))
-        self.keep(fit_texture(surface, capture, self._size, self._rate, budget.seconds, budget.seed, progress),
-                  budget, capture)
+        self.keep(fit_texture(surface, capture, self._size, self._rate, budget.seconds, budget.seed,
+                              progress), budget, capture)
 
     def under(self, light: Light, frames: Sequence[int], spp: int) -> LitMesh:
         """The mesh in some light; arguments as in `Relightable.under`."""

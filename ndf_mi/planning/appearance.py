@@ -107,8 +107,8 @@ class Appearance:
         they see in two frames, from sides as far apart.
 
         Returns:
-            all of it, and the part that changes within a patch. Shading is constant across a patch, so this part
-            means that something moves along the surface.
+            all of it, and the part that changes within a patch. Shading is constant across a patch, so this
+            part means that something moves along the surface.
         """
         if self._frames < 2 or self._cameras < 2:
             return UNKNOWN, UNKNOWN

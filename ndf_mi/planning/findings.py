@@ -148,8 +148,9 @@ def about_detail(detail: Detail, settings: PlanSettings, full: Preset) -> Findin
     cells = detail.atlas * finest**2 * max(math.ceil(finest * full.grid_l_scale), 1)
     entries = int(min(full.grid_entries, 2 ** math.ceil(math.log2(max(cells, 2**10)))))
     evidence = (f"a pixel spans {1e3 * detail.footprint:.1f} mm, {detail.uv_footprint:.4f} of the texture's "
-                f"square; a blur by two pixels would cost {_decibels(detail.lost[2], settings):.2f} dB; noise is at most "
-                f"{detail.noise:.4f}; training images show {100 * detail.seen:.0f} % of the body's area, "
+                f"square; a blur by two pixels would cost {_decibels(detail.lost[2], settings):.2f} dB; "
+                f"noise is at most {detail.noise:.4f}; "
+                f"training images show {100 * detail.seen:.0f} % of the body's area, "
                 f"{100 * detail.atlas:.0f} % of the square")
     hardly_seen = sorted((share, name) for name, share in detail.parts.items() if share < _HARDLY_SEEN)
     if hardly_seen:
@@ -164,7 +165,8 @@ def about_detail(detail: Detail, settings: PlanSettings, full: Preset) -> Findin
         f"a grid of {levels} levels up to {finest} cells a side, {entries:,} entries a level",
         _listed([part for is_so, part in smaller if is_so]),
         {"footprint_mm": 1e3 * detail.footprint, "texel": detail.uv_footprint, "noise": detail.noise,
-         "seen": detail.seen, "atlas": detail.atlas, **{f"blur_{factor}": lost for factor, lost in detail.lost.items()},
+         "seen": detail.seen, "atlas": detail.atlas,
+         **{f"blur_{factor}": lost for factor, lost in detail.lost.items()},
          **{f"seen_{name}": share for name, share in detail.parts.items()}},
         {"grid_finest": finest, "grid_levels": levels, "grid_entries": entries})
 

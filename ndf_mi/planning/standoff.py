@@ -68,7 +68,8 @@ def standoff(capture: Capture, frames: Sequence[int], views: Sequence[View]) -> 
     surface = Surface(capture.body.faces, capture.body.uv, capture.body.uv_faces, capture.poses.vertices[0])
     cameras = [capture.cameras[name] for name in capture.splits["train"].cameras]
     shown = sum(int(view.mask.sum()) for view in views)
-    squared = sum(float(((view.image[view.mask] - capture.background) ** 2).mean(axis=1).sum()) for view in views)
+    squared = sum(float(((view.image[view.mask] - capture.background) ** 2).mean(axis=1).sum())
+                  for view in views)
     # The mean squared difference of the performer from the background.
     contrast = squared / max(shown, 1)
     outside, inside = [(np.zeros(0), np.zeros(0))], [(np.zeros(0), np.zeros(0))]

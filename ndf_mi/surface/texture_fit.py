@@ -116,7 +116,8 @@ class TextureFit:
         """One update from the next frame's images; returns their sRGB mean squared error in the rectangle."""
         frame, views = self._views.next()
         self._surface.set_frame(frame)
-        loss = self._surface.backward(self.texels.linear, views, sampler_seeds(self._seed, number, len(views)))
+        seeds = sampler_seeds(self._seed, number, len(views))
+        loss = self._surface.backward(self.texels.linear, views, seeds)
         self.texels.step(loss)
         return float(loss[0])
 
