@@ -329,7 +329,7 @@ def errors(ways: list[Way], make: Callable[[], dict[str, Any]], run: Run, frame:
         pictures = sampled(way.scene, options.reference, 20_000 + 1_000 * number, sensor)
         rest = sum(float(p.var(0, ddof=1).mean()) / len(p) for p in (pictures, truth))
         square = float(((pictures.mean(0) - truth.mean(0)) ** 2).mean()) - rest
-        # Where noise alone would be larger, nothing can be told.
+        # Where noise alone would be larger, nothing can be concluded.
         found[way.name] = np.sqrt(max(square, 0)) / truth.mean(), np.sqrt(rest) / truth.mean()
     return found
 

@@ -157,6 +157,8 @@ def read_mesh(folder: str | os.PathLike[str], kind: type[R], capture: Capture) -
                              f"{capture.digest[:12]}, that of {capture.path}")
         file = Path(folder) / "mesh.safetensors"
         tensors = load_file(file)
+    except FileNotFoundError:
+        raise InputError(file, "no such file", f"a mesh {expected}") from None
     except (OSError, msgspec.MsgspecError, SafetensorError) as error:
         raise InputError(file, str(error), f"a mesh {expected}") from None
     shapes: dict[str, tuple[str, tuple[int, ...]]] = {

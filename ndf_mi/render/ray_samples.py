@@ -18,7 +18,7 @@ from ndf_mi.render.sampling import box_interval, compact, stratified
 
 
 class VolumeField(Protocol):
-    """What can be rendered: something in a box that can tell cheaply where it is empty."""
+    """What can be rendered: a field in a box, with a cheap test for where it is empty."""
 
     bbox: mi.BoundingBox3f
 

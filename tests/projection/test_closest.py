@@ -29,8 +29,8 @@ def test_distance_is_that_of_brute_force_in_float64(
     band = 0.2
     distance, _ = reference(mesh, x)
     p = values(mesh.pose(band).project(points(x)))
-    sure = np.abs(distance - band) > 1e-5
-    np.testing.assert_array_equal(p["valid"][sure], distance[sure] <= band)
+    clear = np.abs(distance - band) > 1e-5
+    np.testing.assert_array_equal(p["valid"][clear], distance[clear] <= band)
     inside = p["valid"].astype(bool)
     assert 1000 < inside.sum() < 5900
     np.testing.assert_allclose(np.abs(p["l"][inside]), distance[inside], atol=5e-7)
