@@ -30,8 +30,7 @@ class Malformed(ValueError):
 class Record:
     """Stores the arguments it is called with, the state that is set on it and the items that are put into it.
 
-    A pickle cannot alter the class itself: a state set on the class arrives at `__setstate__` without an
-    instance, and fails.
+    A pickle cannot alter the class: a state set on it arrives at `__setstate__` without an instance.
     """
 
     __slots__ = ("arguments", "items", "state")
@@ -238,7 +237,6 @@ def rebuilt(record: Record, build: Build) -> Any:
 @_record
 def base_class(record: Record, build: Build) -> None:
     """``object`` or ``numpy.ndarray``, which other names take as an argument."""
-    return None
 
 
 @_record
@@ -330,22 +328,22 @@ def _attributes(state: Any) -> dict[str, Any]:
     """An object's attributes: a dict, or a pair of that and of those in slots."""
     if isinstance(state, tuple) and len(state) == 2:
         state = {key: value for part in state if isinstance(part, dict) for key, value in part.items()}
-    if not isinstance(state, dict):
-        raise Malformed("an object without attributes")
-    return state
+    if isinstance(state, dict):
+        return state
+    raise Malformed("an object without attributes")
 
 
 def _values(build: Build, state: Any, name: str) -> np.ndarray:
     values = build(_attributes(state).get(name))
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "biuf":
-        raise Malformed(f"an array of chumpy without its values ({name})")
-    return values
+    if isinstance(values, np.ndarray) and values.dtype.kind in "biuf":
+        return values
+    raise Malformed(f"an array of chumpy without its values ({name})")
 
 
 def _whole(array: Any) -> np.ndarray:
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "iu":
-        raise Malformed("indices that are not whole numbers")
-    return array
+    if isinstance(array, np.ndarray) and array.dtype.kind in "iu":
+        return array
+    raise Malformed("indices that are not whole numbers")
 
 
 def _text(value: Any) -> Any:

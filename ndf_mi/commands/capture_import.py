@@ -24,9 +24,8 @@ class CaptureImport:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the new capture; it must be new or empty."""
     smpl: Path | None = None
-    """SMPL's neutral model file, .pkl or .npz. Without it the body is only a mesh, with the triangles of
-    --uv.
-    """
+    """SMPL's neutral model file, .pkl or .npz. Without it the body is only a mesh, whose triangles --uv
+    gives."""
     uv: Path | None = None
     """Texture coordinates of SMPL's mesh: an .obj, or an .npz with uv, uv_faces and faces; by default one
     chart is made.

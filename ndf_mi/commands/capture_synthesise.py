@@ -18,9 +18,9 @@ class CaptureSynthesise:
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """Folder of the capture: new, empty, or one where this command was interrupted."""
     size: Literal["tiny", "plan", "lit", "quick", "studio"] = "quick"
-    """tiny (48 pixels, for tests), plan (80 pixels, 12 frames, for studies of `ndf-mi plan`), lit (96 pixels,
-    3 frames, for relighting), quick (128 pixels, about a minute on two cores) or studio (256 pixels, 21
-    cameras)."""
+    """tiny (48 pixels, for tests), plan (80 pixels, 12 frames, for studies of `ndf-mi plan`), lit (96
+    pixels, 3 frames, for relighting), quick (128 pixels, about a minute on two cores) or studio (256
+    pixels, 21 cameras)."""
     light: Literal["studio", "evening", "carried", "flat"] = "studio"
     """The light; captures with the same other options differ only in it. carried: the studio's light, turning
     with the performer; flat: no light, surfaces show their reflectance. The capture does not describe these

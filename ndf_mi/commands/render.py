@@ -39,8 +39,8 @@ class Render:
     """The frame to render; by default the one in the scene, or the run's first."""
 
     size: tuple[int, int] | None = None
-    """Width and height in pixels; by default those of the scene or camera, or 512 × 512 for a run without
-    --capture."""
+    """Width and height in pixels; by default those of the scene or camera, or 512 × 512 for a run if there
+    is no --capture."""
 
     spp: int | None = None
     """Samples per pixel; by default those of the scene, or 1, through pixel centres, for a run."""

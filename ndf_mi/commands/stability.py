@@ -26,8 +26,8 @@ class Stability:
     of the errors and their tolerances.
 
     The exit code is 0 if all errors are finite and within their tolerances, and 1 otherwise. A case that
-    raises an exception counts as exceeding; the others still run. Needs pytest: pip install
-    "ndf-mi[stability]".
+    raises an exception counts as exceeding; the others still run. Needs pytest, as
+    installed by pip install "ndf-mi[stability]".
     """
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -62,10 +62,14 @@ class Stability:
         # pytest captures what is printed to the standard output of its time.
         out = sys.stdout
 
+        heading = [table.line(table.HEADER)]
+
         def report(result: Result) -> None:
+            # Unknown names in --only are found before the first case runs: only then is there a table.
+            while heading:
+                print(heading.pop(), file=out)
             print(table.line(result.cells()), *result.details(), sep="\n  ", file=out, flush=True)
 
-        print(table.line(table.HEADER), flush=True)
         results = [*self._run_tests(report).results.values()]
         exceeding = [result.name for result in results if not result.within]
         names = f": {', '.join(exceeding)}" if exceeding else ""

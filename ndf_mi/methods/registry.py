@@ -108,7 +108,7 @@ def entry(key: str) -> Entry:
         points = {point.name: point for point in entry_points(group=GROUP)}
         if key not in points:
             known = ", ".join(dict.fromkeys([*_ENTRIES, *points]))
-            raise InputError("method", repr(key), f"one of {known}")
+            raise InputError("methods", repr(key) if key else "an empty name", f"one of {known}")
         _load(points[key])
     return _ENTRIES[key]
 

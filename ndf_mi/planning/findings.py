@@ -70,7 +70,7 @@ def about_view(estimate: Estimate, settings: PlanSettings, full: Preset) -> Find
     return Finding(
         "view", "does appearance change with the view?",
         _evidence(estimate, settings, "highlights by the mirrored direction explain", "cameras",
-                  "three cameras are needed to tell"),
+                  "this needs three cameras"),
         "the view direction, mirrored by the normal, enters the colour" if keep
         else "a part of the surface has one colour from everywhere",
         "" if keep else "the view branch", _figures(estimate, settings),
@@ -93,7 +93,7 @@ def about_pose(moved: float, frame: Estimate, within: Estimate, detail: Detail, 
                 f"{500 * detail.footprint:.0f} mm: ")
     evidence += "many poses. " if many else "one pose, which can explain nothing. "
     evidence += _evidence(frame, settings, "cameras agree on what frames change:", "",
-                          "two frames and two cameras are needed to tell")
+                          "this needs two frames and two cameras")
     if keep:
         share = min(max(within.value / frame.value, 0.0), 1.0)
         evidence += f"; within {100 * share:.0f} % of it something moves along the surface"
@@ -164,7 +164,7 @@ def about_detail(detail: Detail, settings: PlanSettings, full: Preset) -> Findin
         "detail", "how much detail is there, and which parts are ever seen?", evidence,
         f"a grid of {levels} levels up to {finest} cells a side, {entries:,} entries a level",
         _listed([part for is_so, part in smaller if is_so]),
-        {"footprint_mm": 1e3 * detail.footprint, "texel": detail.uv_footprint, "noise": detail.noise,
+        {"footprint_mm": 1e3 * detail.footprint, "uv_footprint": detail.uv_footprint, "noise": detail.noise,
          "seen": detail.seen, "atlas": detail.atlas,
          **{f"blur_{factor}": lost for factor, lost in detail.lost.items()},
          **{f"seen_{name}": share for name, share in detail.parts.items()}},

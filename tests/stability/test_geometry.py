@@ -184,7 +184,7 @@ def test_folded_and_touching(check: Check, gap: float) -> None:
     "texture coordinates that reach beyond [0, 1]", "shifted and scaled by 1e-6 to 1e6",
     relative_to="the largest coordinate")
 @pytest.mark.parametrize("scale", decades(-6, 6, 2), ids="{:g}".format)
-def test_texels_outside(check: Check, scale: float) -> None:
+def test_uv_outside(check: Check, scale: float) -> None:
     """A body's are within, but a surface interpolates any."""
     shape = turned_ball()
     uv = (scale * (shape.corner_uv.reshape(-1, 2) - [3.0, -2.0])).astype(np.float32)
