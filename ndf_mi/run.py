@@ -2,14 +2,17 @@
 
     RUN/config.json         preset, options, capture and versions that it was made with
     RUN/field.safetensors   `weights`, and `grid` where the preset has a hash table
-    RUN/body.npz poses.npz  the body and its poses, as in a capture
+    RUN/body.npz poses.npz  the reference surface: a body and its poses, in the format of a capture
+    RUN/surface.safetensors how the reference surface differs from the capture's body; only where it does
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections import OrderedDict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 from weakref import WeakValueDictionary
@@ -30,7 +33,9 @@ from ndf_mi.model import Model, PosedModel
 from ndf_mi.projection import PosedSurface
 
 FORMAT = "ndf-run"
-VERSION = 1
+VERSIONS = (1, 2)
+"""Version 2 has bands that differ from place to place, which programs of version 1 would not notice."""
+SURFACE = "surface.safetensors"
 QUADRATURE = "ndf_quadrature"
 """The integrator that fields are trained with by default."""
 _FILES = ("config.json", "body.npz", "poses.npz", "field.safetensors")
@@ -49,20 +54,22 @@ class _Config(msgspec.Struct):
 
 
 class Run:
-    """A field with its body and poses.
+    """A field with its reference surface.
 
     Attributes:
         path: the folder.
         config: the contents of ``config.json``: `preset` (all options), `background` (3 numbers, sRGB),
             `capture` (`name`, `digest`), `training` and more, as training wrote them.
-        body, poses: as in the capture.
+        body, poses: the reference surface: the capture's body, or that with offsets and a refined fit.
+        surface_tensors: what `surface.safetensors` holds, by name: `offsets` (V, 3), added to the capture's
+            body at rest, `bands` (V, 2), and corrections of the fit. Empty where the surface is that body.
         model: architecture and coordinates of the field.
         parameters: the field's; training replaces them.
     """
 
     def __init__(
         self, path: str | os.PathLike[str], config: dict[str, Any], body: Body, poses: Poses, model: Model,
-        parameters: FieldParameters,
+        parameters: FieldParameters, surface_tensors: Mapping[str, np.ndarray] | None = None,
     ) -> None:
         self.path = Path(path)
         self.config = config
@@ -70,12 +77,19 @@ class Run:
         self.poses = poses
         self.model = model
         self.parameters = parameters
+        self.surface_tensors = dict(surface_tensors or {})
         self._surfaces: OrderedDict[int, PosedSurface] = OrderedDict()
 
     @property
     def background(self) -> np.ndarray:
         """(3,) float32 sRGB, behind the performer."""
         return np.asarray(self.config["background"], dtype=np.float32)
+
+    @property
+    def bands(self) -> np.ndarray | None:
+        """(V, 2) float32 metres, how far the band reaches outside and inside at each vertex; None where it is
+        the preset's everywhere."""
+        return self.surface_tensors.get("bands")
 
     @property
     def scattered(self) -> bool:
@@ -98,12 +112,15 @@ class Run:
 
     @classmethod
     def create(
-        cls, path: str | os.PathLike[str], preset: Preset, body: Body, poses: Poses, seed: int, **config: Any
+        cls, path: str | os.PathLike[str], preset: Preset, body: Body, poses: Poses, seed: int,
+        surface_tensors: Mapping[str, np.ndarray] | None = None, **config: Any
     ) -> Run:
         """A new run with untrained parameters. Nothing is written until :meth:`save`."""
-        config = {"format": FORMAT, "version": VERSION, "preset": preset.to_dict(), "seed": seed, **config}
-        model = Model(body, poses, preset)
-        return cls(path, config, body, poses, model, model.field.initial_parameters(seed))
+        tensors = dict(surface_tensors or {})
+        version = VERSIONS[-1] if "bands" in tensors else VERSIONS[0]
+        config = {"format": FORMAT, "version": version, "preset": preset.to_dict(), "seed": seed, **config}
+        model = _model(body, poses, preset, tensors)
+        return cls(path, config, body, poses, model, model.field.initial_parameters(seed), tensors)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Run:
@@ -117,9 +134,13 @@ class Run:
         preset = Preset.from_dict(config["preset"], f"{path / 'config.json'}: preset")
         body = Body.read(path / "body.npz")
         poses = Poses.read(path / "poses.npz", body)
-        model = Model(body, poses, preset)
+        tensors = _read_surface(path / SURFACE, poses.vertices.shape[1])
+        if config["version"] > VERSIONS[0] and "bands" not in tensors:
+            raise InputError(path / SURFACE, "no bands" if tensors else "no such file",
+                             "the bands of a run of version 2")
+        model = _model(body, poses, preset, tensors)
         parameters = _read_parameters(path / "field.safetensors", model.field)
-        return cls(path, config, body, poses, model, parameters)
+        return cls(path, config, body, poses, model, parameters, tensors)
 
     @classmethod
     def shared(cls, path: str | os.PathLike[str]) -> Run:
@@ -130,6 +151,8 @@ class Run:
             states = [os.stat(os.path.join(folder, name)) for name in _FILES]
         except OSError:
             return cls.load(path)
+        with contextlib.suppress(FileNotFoundError):
+            states.append(os.stat(os.path.join(folder, SURFACE)))
         key = (folder, mi.variant(), *((state.st_ino, state.st_mtime_ns, state.st_size) for state in states))
         run = _SHARED.get(key)
         if run is None:
@@ -145,6 +168,7 @@ class Run:
         json.dumps(self.config, allow_nan=False)  # Fails before anything is written.
         self.body.write(self.path / "body.npz")
         self.poses.write(self.path / "poses.npz")
+        self.save_surface()
         self.save_field()
         files.write_json(self.path / "config.json", self.config)
 
@@ -153,9 +177,15 @@ class Run:
         with files.replacing(self.path / "field.safetensors") as beside:
             save_file(self.field_tensors(), beside)
 
+    def save_surface(self) -> None:
+        """Writes only `surface.safetensors`, if there is anything to write."""
+        if self.surface_tensors:
+            with files.replacing(self.path / SURFACE) as beside:
+                save_file(self.surface_tensors, beside)
+
     def surface(self, frame: int) -> PosedSurface:
-        """The body at a frame, ready for queries; the most recently used frames are kept. Raises InputError
-        if there is no such frame."""
+        """The reference surface at a frame, ready for queries; the most recently used frames are kept. Raises
+        InputError if there is no such frame."""
         row = self.poses.index(frame)
         if row in self._surfaces:
             self._surfaces.move_to_end(row)
@@ -193,6 +223,10 @@ class Run:
         return PosedModel(self.model, self.parameters, surface, _flat(pose), networks=networks)
 
 
+def _model(body: Body, poses: Poses, preset: Preset, tensors: Mapping[str, np.ndarray]) -> Model:
+    return Model(body, poses, preset)
+
+
 def _flat(values: np.ndarray) -> mi.Float:
     return mi.Float(np.ascontiguousarray(values, np.float32).ravel())
 
@@ -202,21 +236,41 @@ def _read_config(path: Path) -> dict[str, Any]:
     if not isinstance(config, dict) or config.get("format") != FORMAT:
         found = config.get("format") if isinstance(config, dict) else type(config).__name__
         raise InputError(f"{path}: format", repr(found), repr(FORMAT))
-    if config.get("version") != VERSION:
-        newer = isinstance(config.get("version"), int) and config["version"] > VERSION
-        raise InputError(f"{path}: version", repr(config.get("version")), str(VERSION),
+    if config.get("version") not in VERSIONS:
+        newer = isinstance(config.get("version"), int) and config["version"] > VERSIONS[-1]
+        raise InputError(f"{path}: version", repr(config.get("version")), " or ".join(map(str, VERSIONS)),
                          "A newer ndf-mi wrote it: upgrade with `pip install -U ndf-mi`." if newer else "")
     validated(config, _Config, str(path))
     return config
 
 
-def _read_parameters(path: Path, field: Field) -> FieldParameters:
+def _read_tensors(path: Path, expected: str) -> dict[str, np.ndarray]:
     try:
-        tensors = load_file(path)
+        return dict(load_file(path))
     except FileNotFoundError:
-        raise InputError(path, "no such file", "the field's weights") from None
+        raise InputError(path, "no such file", expected) from None
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(path, f"a file that cannot be read ({error})", "a safetensors file") from None
+
+
+def _read_surface(path: Path, vertices: int) -> dict[str, np.ndarray]:
+    """The tensors of `surface.safetensors`; none where there is no such file."""
+    if not path.exists():
+        return {}
+    tensors = _read_tensors(path, "the reference surface")
+    for name, columns in (("offsets", 3), ("bands", 2)):
+        found = tensors.get(name)
+        if found is not None and (found.shape != (vertices, columns) or found.dtype != np.float32):
+            raise InputError(f"{path}: {name}", f"{found.dtype} of shape {found.shape}",
+                             f"float32 of shape {(vertices, columns)}, a row a vertex")
+    for name, found in tensors.items():
+        if not np.isfinite(found).all():
+            raise InputError(f"{path}: {name}", "numbers that are not finite", "finite numbers")
+    return tensors
+
+
+def _read_parameters(path: Path, field: Field) -> FieldParameters:
+    tensors = _read_tensors(path, "the field's weights")
     for name, size in (("weights", field.size), ("grid", field.grid_size)):
         if name not in tensors:
             if size == 0:

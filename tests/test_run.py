@@ -6,8 +6,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from ndf_mi.errors import InputError
 from ndf_mi.render.performers import FieldMedium
-from ndf_mi.run import Run
+from ndf_mi.run import SURFACE, Run
 
 
 @pytest.fixture
@@ -61,3 +62,34 @@ def test_other_media_are_no_field_media():
     grid = mi.load_dict({"type": "ndf_grid", "nx": 2, "ny": 2, "nz": 2, "cell": 0.1})
     assert not isinstance(grid, FieldMedium) and not isinstance(mi.load_dict({"type": "homogeneous"}),
                                                                 FieldMedium)
+
+
+def test_the_reference_surface_is_kept_with_the_run(make_run):
+    run = make_run()
+    assert run.surface_tensors == {} and not (run.path / SURFACE).exists()
+    offsets = np.arange(3 * run.poses.vertices.shape[1], dtype=np.float32).reshape(-1, 3)
+    run.surface_tensors = {"offsets": offsets}
+    run.save()
+    read = Run.load(run.path)
+    np.testing.assert_array_equal(read.surface_tensors["offsets"], offsets)
+    assert read.bands is None and read.config["version"] == 1
+
+
+def test_a_surface_that_does_not_fit_is_named(make_run):
+    run = make_run()
+    run.surface_tensors = {"offsets": np.zeros((1, 3), np.float32)}
+    run.save()
+    with pytest.raises(InputError, match=r"surface\.safetensors: offsets.*\(1, 3\)"):
+        Run.load(run.path)
+    run.surface_tensors = {"other": np.full(2, np.nan, np.float32)}
+    run.save()
+    with pytest.raises(InputError, match=r"surface\.safetensors: other.*not finite"):
+        Run.load(run.path)
+
+
+def test_shared_runs_notice_another_surface(make_run, loads):
+    run = make_run()
+    first = Run.shared(run.path)
+    run.surface_tensors = {"offsets": np.zeros((run.poses.vertices.shape[1], 3), np.float32)}
+    run.save_surface()
+    assert Run.shared(run.path) is not first

@@ -8,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 from scipy import ndimage
 
+from ndf_mi.body.poses import Poses
 from ndf_mi.capture.camera import box_pixels, pixel_rays
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
@@ -82,15 +83,17 @@ class BatchSampler:
         capture: the capture.
         options: sampling.
         sample_factor: of the preset.
+        poses: of the reference surface. Pixels are drawn from the box around it and the capture's body.
 
     Raises:
         InputError: the split is empty, or an image shows nothing of the performer.
     """
 
-    def __init__(self, capture: Capture, options: TrainingOptions, sample_factor: int) -> None:
+    def __init__(self, capture: Capture, options: TrainingOptions, sample_factor: int,
+                 poses: Poses) -> None:
         split = capture.splits["train"]
         self._options = options
-        self._poses = capture.poses
+        self._poses = poses
         self._candidates = options.rays * options.samples * sample_factor
         self._frames = split.frames
         self._cameras = [capture.cameras[name] for name in split.cameras]
@@ -99,7 +102,7 @@ class BatchSampler:
                              "at least one of each")
         self._views: dict[tuple[int, int], _View] = {}
         for row, frame in enumerate(self._frames):
-            vertices = capture.poses.vertices[capture.poses.index(frame)]
+            vertices = np.concatenate([each.vertices[each.index(frame)] for each in (capture.poses, poses)])
             low, high = vertices.min(0) - options.box_padding, vertices.max(0) + options.box_padding
             for column, name in enumerate(split.cameras):
                 mask = capture.mask(name, frame)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from ndf_mi.body.box import BOX_PADDING
 from ndf_mi.deprecated import TRAINING_FIELDS, rename_entries
@@ -35,6 +35,11 @@ class TrainingOptions:
 
     atlas: str = "body"
     """Texture coordinates: `body` for the capture's own, `one-piece` for the body cut into one chart."""
+
+    surface: Literal["body", "offset"] = "body"
+    """The reference surface: `offset`, the body with static offsets that are fitted to the training images
+    first, so that clothes and hair come within reach of a thin band; or `body`, the body alone, as in the
+    paper."""
 
     skip_empty: bool = True
     """Skip samples in cells that have been empty so far, except for a random eighth of them."""
@@ -114,6 +119,7 @@ class TrainingOptions:
                     "opacity_weight", "edge_weight", "edge_below", "seed", "min_transmittance", "warm_up"):
             self._check(key, 0 <= getattr(self, key) < float("inf"), "a number of at least 0")
         self._check("atlas", self.atlas in ("body", "one-piece"), "body or one-piece")
+        self._check("surface", self.surface in ("body", "offset"), "body or offset")
         self._check("min_transmittance", self.min_transmittance < 1, "a transmittance in [0, 1)")
         for key in ("paths", "max_depth"):
             self._check(key, getattr(self, key) >= 2, "at least 2")
@@ -133,11 +139,11 @@ class TrainingOptions:
     def from_dict(cls, values: dict[str, Any], where: str = "training") -> TrainingOptions:
         """The options from JSON values. Raises InputError for an unknown option or a wrong type."""
         # Trainings that were saved before these options existed ran without them.
-        before = {"pose_noise": 0.0, "opacity_edge": 0, "min_transmittance": 0.0}
+        before = {"pose_noise": 0.0, "opacity_edge": 0, "min_transmittance": 0.0, "surface": "body"}
         return read_options(cls, before | rename_entries(values, TRAINING_FIELDS), where)
 
     @classmethod
     def paper(cls) -> TrainingOptions:
         """The published schedule and loss."""
-        return cls(steps=200_000, edge_kernel=3, learning_rate=5e-4, decay_steps=500_000, opacity_weight=0.0,
-                   skip_empty=False, min_transmittance=0.0, pose_noise=0.0)
+        return cls(steps=200_000, surface="body", edge_kernel=3, learning_rate=5e-4, decay_steps=500_000,
+                   opacity_weight=0.0, skip_empty=False, min_transmittance=0.0, pose_noise=0.0)

@@ -94,7 +94,7 @@ class Trainer:
         if options.integrator != QUADRATURE:
             self._lights = capture_lights(run, capture, options)
         self.batches: Callable[[np.random.Generator, bool, bool], Batch] = BatchSampler(
-            capture, options, run.model.field.preset.sample_factor)
+            capture, options, run.model.field.preset.sample_factor, run.poses)
         self._rng = np.random.default_rng([options.seed, 1])
         self._occupancy = Occupancy(threshold=_EMPTY) if options.skip_empty else None
         self._quadrature = QuadratureStep(run, options, self._occupancy)

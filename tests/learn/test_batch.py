@@ -14,7 +14,7 @@ PIXEL = 2.5 / 72
 
 def draw(capture, **changes):
     options = dataclasses.replace(TrainingOptions(seed=4), **changes)
-    return BatchSampler(capture, options, 1)(np.random.default_rng(0))
+    return BatchSampler(capture, options, 1, capture.poses)(np.random.default_rng(0))
 
 
 def distance_to_the_ball(capture, batch):

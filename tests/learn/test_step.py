@@ -26,7 +26,7 @@ def run(capture, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def batch(capture, run):
-    return BatchSampler(capture, OPTIONS, 1)(np.random.default_rng(0), edge_active=True)
+    return BatchSampler(capture, OPTIONS, 1, capture.poses)(np.random.default_rng(0), edge_active=True)
 
 
 def test_nothing_is_left_behind(run, batch):
