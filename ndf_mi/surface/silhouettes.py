@@ -1,0 +1,64 @@
+"""Silhouettes of a posed body in a capture's cameras, and how well masks agree with them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ndf_mi.capture.camera import Camera
+from ndf_mi.mitsuba_mesh import make_mesh, set_vertices
+
+
+class Silhouettes:
+    """Casts rays of cameras at a mesh of fixed topology.
+
+    Args:
+        faces: (F, 3).
+        vertices: (V, 3) the first positions, metres in world space.
+    """
+
+    def __init__(self, faces: np.ndarray, vertices: np.ndarray) -> None:
+        mesh = make_mesh("body", vertices.astype(np.float32), faces.astype(np.uint32))
+        self._scene = mi.load_dict({"type": "scene", "body": mesh})
+        self._parameters = mi.traverse(self._scene)
+
+    def set_vertices(self, vertices: np.ndarray) -> None:
+        """Moves the vertices to these (V, 3), metres in world space."""
+        set_vertices(self._parameters, vertices.astype(np.float32), "body")
+        self._parameters.update()
+
+    def hits(self, camera: Camera, pixels: np.ndarray, distance: np.ndarray | None = None) -> np.ndarray:
+        """(N,) bool, whether the rays through these (N, 2) pixel coordinates meet the mesh.
+
+        Args:
+            camera: a pinhole camera.
+            pixels: (0.5, 0.5) is the centre of the top left one.
+            distance: (N,) metres at which each ray ends; by default nowhere.
+        """
+        x, y = (mi.Float(np.ascontiguousarray(column, dtype=np.float32)) for column in pixels.T)
+        ray = camera.rays(mi.Point2f(x, y))
+        if distance is not None:
+            ray.maxt = mi.Float(distance.astype(np.float32))
+        with dr.suspend_grad():
+            return np.asarray(self._scene.ray_test(ray).numpy(), dtype=bool)
+
+    def silhouette(self, camera: Camera) -> np.ndarray:
+        """(h, w) bool, whether the ray through each pixel's centre meets the mesh."""
+        y, x = np.mgrid[0 : camera.h, 0 : camera.w].reshape(2, -1) + 0.5
+        return self.hits(camera, np.stack([x, y], axis=1)).reshape(camera.h, camera.w)
+
+
+def agreement(silhouettes: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> float:
+    """The mean over the images of the intersection over union of silhouette and mask, in [0, 1].
+
+    Args:
+        silhouettes, masks: (h, w) bool each; an image in which both are empty counts as 1.
+    """
+    shares = []
+    for silhouette, mask in zip(silhouettes, masks, strict=True):
+        union = np.count_nonzero(silhouette | mask)
+        shares.append(np.count_nonzero(silhouette & mask) / union if union else 1.0)
+    return float(np.mean(shares))
