@@ -13,7 +13,7 @@ from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses, frame_ranges
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.document import FILE_NAME, Document, Imported, Split, read_document
-from ndf_mi.capture.images import read_image, read_mask, undistort_image, undistort_mask
+from ndf_mi.capture.images import read_image, read_matte, undistort_image, undistort_matte
 from ndf_mi.errors import InputError
 
 
@@ -73,14 +73,20 @@ class Capture:
         return image if raw.is_pinhole else undistort_image(image, raw, self.background)
 
     def mask(self, camera: str, frame: int) -> np.ndarray:
-        """(h, w) bool, True on the performer.
+        """(h, w) bool, True on the performer: where ``matte`` is at least 0.5. Errors as ``matte``."""
+        return self.matte(camera, frame) >= 0.5
+
+    def matte(self, camera: str, frame: int) -> np.ndarray:
+        """(h, w) float32 in [0, 1]: the share of each pixel that the performer covers, as far as the capture
+        has mattes; 0 and 1 only where it has masks.
 
         Raises:
-            InputError: as ``image``; or the mask is empty or holds values other than 0 and 255.
+            InputError: as ``image``; or the file is empty, or neither a mask nor a matte
+                (``ndf_mi.capture.images.read_matte``).
         """
         raw, _, file = self._found(camera, frame)
-        mask = read_mask(file, (raw.w, raw.h))
-        return mask if raw.is_pinhole else undistort_mask(mask, raw)
+        matte = read_matte(file, (raw.w, raw.h))
+        return matte if raw.is_pinhole else undistort_matte(matte, raw)
 
     def known_lighting(self) -> Path:
         """`lighting`, if it is known.

@@ -14,7 +14,7 @@ from ndf_mi.body.poses import Poses
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture, frame_issues
 from ndf_mi.capture.document import Document, parse_document
-from ndf_mi.capture.images import read_image, read_mask
+from ndf_mi.capture.images import read_image, read_matte
 from ndf_mi.errors import InputError
 
 #: Largest difference, in sRGB, between the background and a pixel outside the mask: three 8-bit steps.
@@ -83,9 +83,10 @@ def _image_issues(
             return None
 
     image_file, mask_file = document.files(folder, camera_name, frame)
-    image, mask = attempt(read_image, image_file), attempt(read_mask, mask_file)
-    if image is not None and mask is not None and not mask.all():
-        difference = float(np.abs(image[~mask] - np.array(document.background, dtype=np.float32)).max())
+    image, matte = attempt(read_image, image_file), attempt(read_matte, mask_file)
+    mask = None if matte is None else matte >= 0.5
+    if image is not None and matte is not None and not matte.all():
+        difference = float(np.abs(image[matte == 0] - np.array(document.background, dtype=np.float32)).max())
         if difference > _BACKGROUND_TOLERANCE:
             declared = f"{list(document.background)}, within {_BACKGROUND_TOLERANCE:.3f}"
             differing = f"pixels outside the mask that differ from the background by up to {difference:.3f}"

@@ -1,4 +1,4 @@
-"""The PNG files of a capture: reads, checks, writes and undistorts 8-bit images and masks."""
+"""The PNG files of a capture: reads, checks, writes and undistorts 8-bit images, masks and mattes."""
 
 from __future__ import annotations
 
@@ -8,11 +8,16 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import binary_erosion, map_coordinates
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.errors import InputError
 from ndf_mi.files import replacing
+
+#: Least value, of 255, that the largest of a mask must have. Masks of 0 and 1 and of labels have far less.
+_OPAQUE = 128
+#: Least :func:`half_covered` of a matte.
+_LEAST_HALF_COVERED = 0.1
 
 
 @contextmanager
@@ -50,19 +55,55 @@ def read_image(path: Path, size: tuple[int, int]) -> np.ndarray:
     return read_png(path, "RGB", size).astype(np.float32) / np.float32(255)
 
 
-def read_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
-    """(h, w) bool, true on the performer.
+def read_matte(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """(h, w) float32 in [0, 1]: the share of each pixel that the performer covers; 0 and 1 only for a mask.
 
     Raises:
-        InputError: as ``read_png``; or the mask is empty, or has values other than 0 and 255.
+        InputError: as ``read_png``; or no pixel shows the performer; or the file is damaged: its values end
+            far below 255, as in a mask of 0 and 1 or of labels, or it has the noise of lossy compression.
     """
-    mask = read_png(path, "L", size)
-    other = np.setdiff1d(mask, [0, 255])
-    if other.size:
-        raise InputError(path, f"a mask with the value {other[0]}", "only 0 (background) and 255 (performer)")
-    if not mask.any():
+    matte = read_png(path, "L", size)
+    largest = int(matte.max())
+    if largest == 0:
         raise InputError(path, "an empty mask", "some pixels of 255 (performer)")
-    return mask > 0
+    if largest < _OPAQUE:
+        values = np.unique(matte)
+        if len(values) == 2 and values[0] == 0:
+            found, repair = f"a mask of 0 and {largest}", f"Multiply it by {255 / largest:g}."
+        else:
+            found = f"a mask with {len(values)} different values, the largest {largest}"
+            repair = "If the values are labels, write 255 where they are the performer's and 0 elsewhere."
+        raise InputError(path, found, f"255 on the performer (a matte's largest value is {_OPAQUE} or more)",
+                         repair)
+    noisy = np.count_nonzero((matte > 0) & (matte < 255))
+    if noisy and half_covered(matte) < _LEAST_HALF_COVERED:
+        raise InputError(
+            path, f"a mask with {noisy} pixels near 0 or 255 but hardly any between, as lossy compression "
+            f"leaves them ({100 * half_covered(matte):.0f} pixels between 32 and 223 on 100 of the outline)",
+            f"0 and 255 only, or a matte ({100 * _LEAST_HALF_COVERED:.0f} such pixels or more)",
+            "Write 255 where the value is above 127 and 0 elsewhere, or use the file before compression.")
+    return matte.astype(np.float32) / np.float32(255)
+
+
+def read_mask(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """(h, w) bool, true where the matte is at least 0.5; errors as ``read_matte``."""
+    return read_matte(path, size) >= 0.5
+
+
+def is_soft(matte: np.ndarray) -> bool:
+    """Whether any value of a matte in [0, 1] is neither 0 nor 1."""
+    return bool(((matte > 0) & (matte < 1)).any())
+
+
+def half_covered(matte: np.ndarray) -> float:
+    """Pixels of a uint8 matte between 32 and 223, for each pixel on the outline of those above 127.
+
+    From 0.7 on where an image is averaged over pixels, and more if it is blurred. 0 for masks of 0 and 255
+    after lossy compression, except at low qualities (JPEG at 50 and less in images of 128 pixels: 0.4).
+    """
+    on = matte > 127
+    outline = int(np.count_nonzero(on & ~binary_erosion(on)))
+    return int(np.count_nonzero((matte >= 32) & (matte <= 223))) / max(outline, 1)
 
 
 def write_image(path: Path, image: np.ndarray) -> None:
@@ -74,9 +115,11 @@ def write_image(path: Path, image: np.ndarray) -> None:
 
 
 def write_mask(path: Path, mask: np.ndarray) -> None:
-    """Writes (h, w) bool as an 8-bit, one-channel PNG of 0 and 255."""
+    """Writes a mask, (h, w) bool, as an 8-bit, one-channel PNG of 0 and 255, or a matte, float in [0, 1], of
+    values between them too."""
     with replacing(path) as temporary:
-        Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0))).save(temporary, format="PNG")
+        Image.fromarray(np.round(np.clip(mask, 0, 1) * np.float32(255)).astype(np.uint8)).save(
+            temporary, format="PNG")
 
 
 def undistort_image(image: np.ndarray, camera: Camera, background: np.ndarray) -> np.ndarray:
@@ -86,9 +129,10 @@ def undistort_image(image: np.ndarray, camera: Camera, background: np.ndarray) -
     return np.stack(channels, axis=-1).astype(np.float32)
 
 
-def undistort_mask(mask: np.ndarray, camera: Camera) -> np.ndarray:
-    """(h, w) bool as seen by ``camera.pinhole()``, from the nearest pixels."""
-    return map_coordinates(mask.astype(np.uint8), source_positions(camera), order=0) > 0
+def undistort_matte(matte: np.ndarray, camera: Camera) -> np.ndarray:
+    """(h, w) float32 as seen by ``camera.pinhole()``: mattes bilinearly, masks of 0 and 1 from the nearest
+    pixels, so that they stay masks."""
+    return map_coordinates(matte, source_positions(camera), order=1 if is_soft(matte) else 0)
 
 
 def source_positions(camera: Camera) -> np.ndarray:

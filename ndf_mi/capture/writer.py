@@ -27,7 +27,8 @@ class CaptureWriter:
         return all(file.is_file() for file in self.document.files(self.path, camera, frame))
 
     def write(self, camera: str, frame: int, image: np.ndarray, mask: np.ndarray) -> None:
-        """Writes one image, (h, w, 3) sRGB float in [0, 1] or uint8, and its mask, (h, w) bool.
+        """Writes one image, (h, w, 3) sRGB float in [0, 1] or uint8, and its mask, (h, w) bool, or matte,
+        float in [0, 1].
 
         Raises:
             ValueError: a shape is not the camera's.

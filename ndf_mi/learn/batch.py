@@ -11,6 +11,7 @@ from scipy import ndimage
 from ndf_mi.body.poses import Poses
 from ndf_mi.capture.camera import box_pixels, pixel_rays
 from ndf_mi.capture.capture import Capture
+from ndf_mi.capture.images import is_soft
 from ndf_mi.errors import InputError
 from ndf_mi.learn.options import TrainingOptions
 
@@ -36,8 +37,10 @@ class Batch:
         frame: the frame's number.
         origin, direction: (3, R) world space; directions have unit length.
         target: (3, R) sRGB in [0, 1].
-        mask: (R,) 1 on the performer, else 0.
-        mask_valid: (R,) 1 where the mask gives the opacity, 0 near its edge, where pixels are partly covered.
+        mask: (R,) in [0, 1], the share of the pixel that the performer covers; of a capture with masks
+            instead of mattes, 1 on the performer, else 0.
+        mask_valid: (R,) in [0, 1], how far the mask gives the opacity: 0 near the edge of a mask without
+            intermediate values, where pixels are partly covered.
         in_box: (R,) 1 for pixels drawn from the whole box, 0 for those drawn from the mask, which are drawn
             more often than they occur in an image.
         jitter: in [0, 1), one number for each candidate sample of each ray, ray by ray.
@@ -66,7 +69,8 @@ class Batch:
 
 @dataclass(frozen=True)
 class _View:
-    """One training image: 8-bit colours, masks, and the indices of the pixels that may be drawn."""
+    """One training image: 8-bit colours, matte and weights, and the indices of the pixels that may be
+    drawn."""
 
     image: np.ndarray
     mask: np.ndarray
@@ -105,15 +109,18 @@ class BatchSampler:
             vertices = np.concatenate([each.vertices[each.index(frame)] for each in (capture.poses, poses)])
             low, high = vertices.min(0) - options.box_padding, vertices.max(0) + options.box_padding
             for column, name in enumerate(split.cameras):
-                mask = capture.mask(name, frame)
+                matte = capture.matte(name, frame)
+                mask = matte >= 0.5
                 allowed = ~_edge(mask, options.edge_kernel)
                 box = box_pixels(self._cameras[column], low, high) & allowed
                 if not (mask & allowed).any() or not box.any():
                     raise InputError(f"camera {name}, frame {frame}", "no pixel of the performer in view",
                                      "a mask that is not empty")
+                # A matte says how far pixels on the edge are covered, a mask does not.
+                valid = np.ones(mask.shape) if is_soft(matte) else ~_edge(mask, options.opacity_edge)
                 self._views[row, column] = _View(
-                    np.round(capture.image(name, frame) * 255).astype(np.uint8).reshape(-1, 3), mask.ravel(),
-                    ~_edge(mask, options.opacity_edge).ravel(),
+                    _bytes(capture.image(name, frame)).reshape(-1, 3), _bytes(matte).ravel(),
+                    _bytes(valid).ravel(),
                     np.flatnonzero(mask & allowed).astype(np.uint32), np.flatnonzero(box).astype(np.uint32))
 
     def __call__(self, rng: np.random.Generator, edge_active: bool = False,
@@ -150,7 +157,13 @@ class BatchSampler:
         origin, direction = pixel_rays(self._cameras[column], pixels)
         target = view.image[pixels].T.astype(np.float32) / 255
         in_box = np.arange(count) >= on_mask
-        return origin, direction, target, view.mask[pixels], view.mask_valid[pixels], in_box
+        mask, mask_valid = (of[pixels].astype(np.float32) / 255 for of in (view.mask, view.mask_valid))
+        return origin, direction, target, mask, mask_valid, in_box
+
+
+def _bytes(values: np.ndarray) -> np.ndarray:
+    """Values in [0, 1] in steps of 1/255, as uint8."""
+    return np.round(values * 255).astype(np.uint8)
 
 
 def _edge(mask: np.ndarray, kernel: int) -> np.ndarray:

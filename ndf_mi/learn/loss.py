@@ -56,8 +56,8 @@ class ImageLoss:
         Args:
             radiance: what the rays see.
             target: sRGB.
-            mask: 1 on the performer, else 0.
-            mask_valid: 1 where the opacity is compared with the mask, else 0.
+            mask: in [0, 1], the share of the pixel that the performer covers.
+            mask_valid: in [0, 1], weights of the difference of opacity and mask.
             in_box: 1 for the rays drawn from the whole box, else 0.
             edge_active: whether the edge term counts.
         """

@@ -78,7 +78,8 @@ class TrainingOptions:
 
     opacity_edge: int = 3
     """That term ignores pixels if a square of this many pixels around them holds both performer and
-    background: the performer covers such pixels partly, which a mask cannot say. 0 ignores none."""
+    background: the performer covers such pixels partly, which a mask of 0 and 255 cannot say. 0 ignores
+    none; of images with a matte all pixels count."""
 
     edge_weight: float = 0.1
     """Weight of the mean density near the band's edge (|l| above 0.8 of the band), in units of the preset's

@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ndf_mi.capture.camera import Camera, box_pixels, pixel_rays
-from ndf_mi.capture.images import undistort_image, undistort_mask
+from ndf_mi.capture.images import undistort_image, undistort_matte
 from ndf_mi.mitsuba_mesh import make_mesh
 
 
@@ -156,7 +156,7 @@ def test_undistortion_moves_a_blob_to_where_the_pinhole_camera_sees_it() -> None
     image = undistort_image(np.repeat(blob[..., None], 3, 2), camera, np.zeros(3))[..., 0]
     found = np.array([(image * columns).sum(), (image * rows).sum()]) / image.sum()
     np.testing.assert_allclose(found, camera.pinhole().project(inner)[0], atol=0.1)
-    mask = undistort_mask(blob > 0.5, camera)
+    mask = undistort_matte((blob > 0.5).astype(np.float32), camera) > 0
     centre = [columns[mask].mean(), rows[mask].mean()]
     np.testing.assert_allclose(centre, camera.pinhole().project(inner)[0], atol=0.5)
 

@@ -4,8 +4,10 @@ expected.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.check import problems, summary
 from ndf_mi.capture.document import Imported, parse_document
+from ndf_mi.capture.images import is_soft, write_mask
 from ndf_mi.errors import InputError
 
 
@@ -69,6 +72,31 @@ def test_a_distorted_camera_comes_out_pinhole_with_its_mask_where_the_body_is(
     assert (mask & expected).sum() / (mask | expected).sum() > 0.95
     image = capture.image("c", 1)
     np.testing.assert_allclose(image[mask & expected].mean(0), [0.9, 0.2, 0.1], atol=0.05)
+
+
+def test_mattes_keep_their_values_and_their_silhouette_is_where_they_are_half_covered(
+    box_capture: Path, expected_silhouette: Callable[[Camera, np.ndarray], np.ndarray]
+) -> None:
+    """The share of each pixel that a box covers, counted over 8 x 8 points; camera c has distortion."""
+    capture = Capture.read(box_capture)
+    covered = {}
+    for name in ("b", "c"):
+        camera = capture.cameras[name]
+        fine = replace(camera, w=8 * camera.w, h=8 * camera.h, fl_x=8 * camera.fl_x, fl_y=8 * camera.fl_y,
+                       cx=8 * camera.cx, cy=8 * camera.cy)
+        inside = expected_silhouette(fine, capture.poses.vertices[1])
+        covered[name] = inside.reshape(camera.h, 8, camera.w, 8).mean((1, 3))
+    for name in ("b", "c"):
+        write_mask(box_capture / f"masks/{name}/000001.png", covered[name])
+    matte = capture.matte("b", 1)
+    assert matte.dtype == np.float32 and 0.3 < matte[(matte > 0) & (matte < 1)].mean() < 0.7
+    np.testing.assert_allclose(matte, covered["b"], atol=0.51 / 255)
+    np.testing.assert_array_equal(capture.mask("b", 1), matte >= 0.5)
+    resampled = capture.matte("c", 1)
+    assert set(np.unique(capture.matte("b", 0))) == {0, 1}
+    # This matte was made without the distortion and lies elsewhere after it, but stays soft.
+    assert is_soft(resampled) and (capture.mask("c", 1) == (resampled >= 0.5)).all()
+    assert not problems(box_capture)
 
 
 def test_the_digest_follows_the_contents(box_capture: Path) -> None:
@@ -150,6 +178,12 @@ def grey(file: Path) -> None:
     Image.open(file).convert("L").save(file)
 
 
+def compress(file: Path) -> None:
+    lossy = io.BytesIO()
+    Image.open(file).save(lossy, "JPEG", quality=80)
+    Image.open(lossy).save(file)
+
+
 IMAGE, MASK = "images/b/000001.png", "masks/b/000001.png"
 BAD_FILES: dict[str, tuple[str, Callable[[Path], Any], str]] = {
     "no description": ("capture.json", Path.unlink, "no such file"),
@@ -173,7 +207,11 @@ BAD_FILES: dict[str, tuple[str, Callable[[Path], Any], str]] = {
     "an image of another size": (IMAGE, resize, "20 x 20 pixels; expected 32 x 48"),
     "a grey image": (IMAGE, grey, "mode L; expected 8-bit RGB"),
     "an empty mask": (MASK, lambda f: Image.new("L", (32, 48)).save(f), "an empty mask"),
-    "a soft mask": (MASK, lambda f: Image.new("L", (32, 48), 128).save(f), "the value 128"),
+    "a mask of 0 and 1": (MASK, lambda f: Image.open(f).point(lambda v: v // 255).save(f),
+                          r"a mask of 0 and 1; expected 255(.|\n)*Multiply it by 255\."),
+    "a mask of labels": (MASK, lambda f: Image.linear_gradient("L").resize((32, 48)).point(
+        lambda v: v // 64).save(f), "a mask with 4 different values, the largest 3"),
+    "a mask after lossy compression": (MASK, compress, "lossy compression"),
     "a colour mask": (MASK, lambda f: Image.new("RGB", (32, 48)).save(f),
                       "mode RGB; expected 8-bit, one channel"),
 }

@@ -4,7 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from ndf_mi.capture.capture import Capture
 from ndf_mi.learn.batch import BatchSampler
 from ndf_mi.learn.options import TrainingOptions
 
@@ -55,6 +57,20 @@ def test_masks_are_valid_off_their_edge_only(capture):
     assert (batch.mask_valid[off < 0.3 * PIXEL] == 0).all() and (off < 0.3 * PIXEL).sum() > 10
     assert (batch.mask_valid[off > 3 * PIXEL] == 1).all()
     assert (draw(capture, opacity_edge=0).mask_valid == 1).all()
+
+
+def test_mattes_are_targets_up_to_their_edge(capture, monkeypatch):
+    """Opacity is compared with a matte's values on the outline too."""
+    masks = draw(capture, rays=4000)
+    soften = ndimage.uniform_filter
+    monkeypatch.setattr(capture, "matte",
+                        lambda name, frame: soften(Capture.matte(capture, name, frame), 3, mode="nearest"))
+    mattes = draw(capture, rays=4000)
+    assert (mattes.mask_valid == 1).all() and mattes.mask_valid.dtype == np.float32
+    on_edge = masks.mask_valid == 0
+    assert 0.2 < mattes.mask[(mattes.mask > 0) & (mattes.mask < 1)].mean() < 0.8
+    assert (mattes.mask[~on_edge] == masks.mask[~on_edge]).mean() > 0.99
+    assert set(np.unique(np.round(mattes.mask * 9, 1))) <= set(range(10))
 
 
 def test_rays_of_the_box_are_as_frequent_as_its_pixels(capture):
