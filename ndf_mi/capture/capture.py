@@ -61,6 +61,10 @@ class Capture:
                 raise InputError(file, "no such file", f"a PNG, which a split of {FILE_NAME} names")
         return cls(folder, document, body, poses, digest(folder, document))
 
+    def with_body(self, body: Body, poses: Poses) -> Capture:
+        """The same capture with another body, which has a pose for every frame of the splits."""
+        return Capture(self.path, self._document, body, poses, self.digest)
+
     def image(self, camera: str, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1], composited over the background.
 

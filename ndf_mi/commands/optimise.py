@@ -16,6 +16,8 @@ from ndf_mi.run import QUADRATURE
 if TYPE_CHECKING:
     from ndf_mi.capture.capture import Capture
     from ndf_mi.field import Preset
+    from ndf_mi.learn.options import TrainingOptions
+    from ndf_mi.learn.prepare import Reference
     from ndf_mi.learn.trainer import Trainer
 
 
@@ -30,10 +32,12 @@ class Optimise:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The run's folder: new or empty, or an existing run with --resume."""
 
-    preset: Annotated[str, tyro.conf.arg(help=f"Architecture: {PRESET_HELP}.")] = "fast"
-
     model: str | None = None
-    """`auto`, or a plan's file: the architecture that `ndf-mi plan` chooses. Replaces --preset."""
+    """auto, the default: fit the reference surface and plan the architecture that the capture needs. preset: the
+    fixed preset. Or a plan's file, as `ndf-mi plan` writes it."""
+
+    preset: Annotated[str | None, tyro.conf.arg(help=f"A fixed architecture, {PRESET_HELP}; implies --model "
+                                                     "preset, whose default is fast.")] = None
 
     ablation: Annotated[str, tyro.conf.arg(
         help=f"Remove or replace a part of the method: one of {', '.join(ABLATION_NAMES)}.")] = "full"
@@ -90,36 +94,54 @@ class Optimise:
         return resume(self.out, capture)
 
     def _started(self, capture: Capture) -> Trainer:
+        from ndf_mi.commands.plan import status
         from ndf_mi.field import preset as preset_of
-        from ndf_mi.learn.loop import start
+        from ndf_mi.learn.loop import expect_new, start
+        from ndf_mi.learn.prepare import reference
         from ndf_mi.learn.scattering import relightable
 
-        planned, plan = self._plan(capture)
-        preset, training = configured(
-            self.preset, self.option, ablation_name=self.ablation, steps=self.steps, seconds=self.seconds,
-            seed=self.seed, integrator=self.integrator, planned=planned)
-        if planned is not None and training.atlas != "body":
-            raise InputError("--model", f"atlas={training.atlas} as well", "one of the two",
-                             "A plan chooses the grid's resolution for the body's own atlas.")
-        base = planned or preset_of(self.preset)
-        changed = [] if self.integrator == QUADRATURE else relightable(base)[1]
+        name = self._preset_name()
+        training = self._configured(None)[1]
+        expect_new(self.out)
+        with status() as show:
+            surface = reference(capture, training, show)
+        base, plan, spent, surface = self._model(capture, training, surface)
+        preset, training = self._configured(base)
+        changed = [] if self.integrator == QUADRATURE else relightable(base or preset_of(name))[1]
         if changed:
-            print(f"{self.integrator}: preset {base.name} with {', '.join(changed)}, so that colours contain "
+            print(f"{self.integrator}: preset {preset.name} with {', '.join(changed)}, so that colours contain "
                   "no light, densities are above 0 and paths stay short")
-        return start(self.out, capture, preset, training, plan)
+        return start(self.out, capture, preset, training, plan, surface, spent)
 
-    def _plan(self, capture: Capture) -> tuple[Preset | None, dict[str, Any] | None]:
-        """The preset of the requested plan, and the plan as JSON values; None without --model."""
-        if self.model is None:
-            return None, None
-        if self.preset != "fast":
+    def _preset_name(self) -> str:
+        """The preset's name; raises InputError if a plan is asked for as well."""
+        if self.preset is not None and self.model not in (None, "preset"):
             raise InputError("--model", f"--preset {self.preset} as well", "one of the two",
                              "Plans start from the preset fast.")
+        return self.preset or "fast"
+
+    def _configured(self, base: Preset | None) -> tuple[Preset, TrainingOptions]:
+        return configured(
+            self._preset_name(), self.option, ablation_name=self.ablation, steps=self.steps,
+            seconds=self.seconds, seed=self.seed, integrator=self.integrator, planned=base)
+
+    def _model(self, capture: Capture, training: TrainingOptions, surface: Reference
+               ) -> tuple[Preset | None, dict[str, Any] | None, float, Reference]:
+        """The planned preset, the plan as JSON values, the seconds that it took, and the surface with bands; None
+        where the preset is fixed."""
+        if self.model == "preset" or self.preset is not None:
+            return None, None, 0.0, surface
+        if training.atlas != "body":
+            raise InputError("--option", f"atlas={training.atlas} and a plan", "one of the two",
+                             "A plan chooses the grid's resolution for the body's own atlas: use --model preset.")
         from ndf_mi.commands.plan import planned, printed
+        from ndf_mi.learn.prepare import with_bands
         from ndf_mi.planning.plan import PlanSettings, read_preset
 
-        if self.model != "auto":
-            return read_preset(Path(self.model), capture.digest)
-        plan = planned(capture, PlanSettings())
-        print(printed(plan) + "\n")
-        return plan.preset, plan.to_dict()
+        if self.model not in (None, "auto"):
+            return *read_preset(Path(self.model), capture.digest), 0.0, surface
+        found = planned(capture, surface, PlanSettings())
+        print(printed(found.plan) + "\n")
+        if training.bands == "local":
+            surface = with_bands(surface, found.bands, found.plan.preset)
+        return found.plan.preset, found.plan.to_dict(), found.seconds, surface

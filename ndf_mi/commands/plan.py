@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import sys
 import textwrap
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 if TYPE_CHECKING:
     from ndf_mi.capture.capture import Capture
+    from ndf_mi.learn.prepare import Planned, Reference
     from ndf_mi.planning.plan import Plan, PlanSettings
 
 _WIDTH = 110
@@ -38,15 +41,25 @@ class PlanCapture:
     """Limit on the training frames read."""
 
     seed: int = 0
-    """Seed for drawing places where there are more than are needed."""
+    """Seed of the surface's fit, and for drawing places where there are more than are needed."""
+
+    surface: Literal["offset", "body"] = "offset"
+    """The reference surface that the field will be wrapped around: the body with offsets that are fitted to the
+    images first, or the body alone."""
 
     def run(self) -> int:
         """Prints the findings, and writes the plan if requested."""
         from ndf_mi.capture.capture import Capture
+        from ndf_mi.learn.options import TrainingOptions
+        from ndf_mi.learn.prepare import reference
         from ndf_mi.planning.plan import PlanSettings
 
         settings = PlanSettings(self.accuracy, self.worth, self.frames, self.seed)
-        plan = planned(Capture.read(self.capture), settings)
+        capture = Capture.read(self.capture)
+        options = TrainingOptions(seed=self.seed, surface=self.surface)
+        with status() as show:
+            surface = reference(capture, options, show)
+        plan = planned(capture, surface, settings).plan
         print(printed(plan))
         if self.out is not None:
             plan.write(self.out)
@@ -54,18 +67,21 @@ class PlanCapture:
         return 0
 
 
-def planned(capture: Capture, settings: PlanSettings) -> Plan:
-    """The plan for a capture; a terminal shows the progress."""
+@contextmanager
+def status() -> Iterator[Callable[[str], None]]:
+    """Shows what is being done on a terminal."""
     from rich.console import Console
 
-    from ndf_mi.planning.planner import STEPS, plan
+    with Console(file=sys.stderr).status("reading images") as shown:
+        yield shown.update
 
-    with Console(file=sys.stderr).status("reading images") as status:
 
-        def show(step: str) -> None:
-            status.update(f"analysing {step} ({STEPS.index(step) + 1} of {len(STEPS)})")
+def planned(capture: Capture, surface: Reference, settings: PlanSettings) -> Planned:
+    """The plan for a capture around a reference surface; a terminal shows the progress."""
+    from ndf_mi.learn.prepare import planned as plan
 
-        return plan(capture, settings, show)
+    with status() as show:
+        return plan(capture, surface, settings, show)
 
 
 def printed(plan: Plan) -> str:

@@ -24,16 +24,17 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import Preset
 from ndf_mi.learn.board import Board
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.prepare import Reference, record, reference
 from ndf_mi.learn.scattering import check_integrator
 from ndf_mi.learn.trainer import STATE, Trainer
-from ndf_mi.run import Run
+from ndf_mi.run import SURFACE, Run
 from ndf_mi.training_log import FILE_NAME as LOG
 
 _LOG_EVERY = 50
 
 
 def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, options: TrainingOptions,
-          plan: dict[str, Any] | None = None) -> Trainer:
+          plan: dict[str, Any] | None = None, surface: Reference | None = None, spent: float = 0.0) -> Trainer:
     """Creates a run in a new or empty folder.
 
     Args:
@@ -41,37 +42,41 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
         capture: what to train on.
         preset, options: architecture and training.
         plan: the plan that the preset comes from, as JSON values, to be recorded in the run's `config.json`.
+        surface: the reference surface; None makes the one that the options ask for.
+        spent: seconds that planning took; they and those of the surface count as training.
 
     Raises:
         InputError: the folder is not empty, the integrator does not exist, or the capture cannot be trained
             on with it. Nothing is written then.
     """
     check_integrator(options.integrator)
+    expect_new(path)
+    surface = surface or reference(capture, options)
+    run = Run.create(
+        path, preset, surface.body, surface.poses, options.seed, surface.tensors,
+        background=[float(v) for v in capture.background],
+        capture={"name": capture.name, "digest": capture.digest},
+        training=options.to_dict(),
+        **({} if plan is None else {"plan": plan}),
+        **record(surface),
+        made_by={"ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__,
+                 "python": platform.python_version(), "variant": mi.variant()},
+    )
+    trainer = Trainer(run, capture, options, spent + surface.seconds)
+    run.save()
+    return trainer
+
+
+def expect_new(path: str | os.PathLike[str]) -> None:
+    """Raises InputError unless a run can be started in this folder: it is new or empty."""
     folder = Path(path)
     # What a run holds that was killed while it was first written: config.json comes last.
-    unfinished = {"body.npz", "poses.npz", "field.safetensors"}
+    unfinished = {"body.npz", "poses.npz", "field.safetensors", SURFACE}
     if folder.exists() and (not folder.is_dir()
                             or {file.name
                                 for file in folder.iterdir() if not files.is_left_over(file)} - unfinished):
         raise InputError(folder, "something there already", "a new or empty folder",
                          "Continue the run that is there with --resume, or choose another folder.")
-    body = capture.body
-    if options.atlas == "one-piece":
-        from ndf_mi.body.atlas import with_one_piece  # needs packages that other trainings do not
-
-        body = with_one_piece(body, capture.poses.vertices[0] if body.template is None else None)
-    run = Run.create(
-        folder, preset, body, capture.poses, options.seed,
-        background=[float(v) for v in capture.background],
-        capture={"name": capture.name, "digest": capture.digest},
-        training=options.to_dict(),
-        **({} if plan is None else {"plan": plan}),
-        made_by={"ndf_mi": ndf_mi.__version__, "mitsuba": mi.__version__, "drjit": dr.__version__,
-                 "python": platform.python_version(), "variant": mi.variant()},
-    )
-    trainer = Trainer(run, capture, options)
-    run.save()
-    return trainer
 
 
 def resume(path: str | os.PathLike[str], capture: Capture) -> Trainer:

@@ -41,6 +41,9 @@ class TrainingOptions:
     first, so that clothes and hair come within reach of a thin band; or `body`, the body alone, as in the
     paper."""
 
+    bands: Literal["local", "uniform"] = "local"
+    """With a plan: each place has the band that it needs, or all have the widest."""
+
     skip_empty: bool = True
     """Skip samples in cells that have been empty so far, except for a random eighth of them."""
 
@@ -120,6 +123,7 @@ class TrainingOptions:
                     "opacity_weight", "edge_weight", "edge_below", "seed", "min_transmittance", "warm_up"):
             self._check(key, 0 <= getattr(self, key) < float("inf"), "a number of at least 0")
         self._check("atlas", self.atlas in ("body", "one-piece"), "body or one-piece")
+        self._check("bands", self.bands in ("local", "uniform"), "local or uniform")
         self._check("surface", self.surface in ("body", "offset"), "body or offset")
         self._check("min_transmittance", self.min_transmittance < 1, "a transmittance in [0, 1)")
         for key in ("paths", "max_depth"):

@@ -76,6 +76,7 @@ class Trainer:
         run: what to train.
         capture: the images.
         options: schedule, sampling and loss.
+        spent: seconds of the training that went before the first step.
 
     Attributes:
         batches: draws a batch for each step, as :class:`BatchSampler`; can be replaced.
@@ -86,7 +87,7 @@ class Trainer:
         InputError: the capture cannot be trained on with these options.
     """
 
-    def __init__(self, run: Run, capture: Capture, options: TrainingOptions) -> None:
+    def __init__(self, run: Run, capture: Capture, options: TrainingOptions, spent: float = 0.0) -> None:
         self.run = run
         self.options = options
         self._frames = capture.splits["train"].frames
@@ -103,7 +104,7 @@ class Trainer:
         self._guard = Guard(list(self.optimisers.values()))
         self._taken = 0
         self._scattering_begun = self.scattering
-        self._seconds = 0.0
+        self._seconds = spent
         self._error = self._box_error = float("nan")
         self._evaluated = 0
 

@@ -1,0 +1,116 @@
+"""What comes before the first step: the reference surface is fitted, and the model is planned on it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ndf_mi.body.body import Body
+from ndf_mi.body.poses import Poses
+from ndf_mi.capture.capture import Capture
+from ndf_mi.field import Preset
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.planning.plan import Plan, PlanSettings
+from ndf_mi.planning.planner import plan
+from ndf_mi.surface.reference import fit_reference
+
+SHARE, LONGEST = 0.1, 60.0
+"""The surface's share of a training that ends by the clock, and its longest time in seconds."""
+
+Show = Callable[[str], None]
+"""Called with what is done now, in a few words."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The surface that a field is wrapped around.
+
+    Attributes:
+        body, poses: the surface at rest and in every frame.
+        tensors: what the run keeps of it, as in `Run.surface_tensors`.
+        residual: (V,) metres by which the surface may be off, or None where nothing was fitted.
+        agreement: mean intersection over union of its silhouettes and the masks, or None.
+        seconds: what it took.
+    """
+
+    body: Body
+    poses: Poses
+    tensors: Mapping[str, np.ndarray] = field(default_factory=dict)
+    residual: np.ndarray | None = None
+    agreement: float | None = None
+    seconds: float = 0.0
+
+    def seen_by(self, capture: Capture) -> Capture:
+        """The capture with this surface in place of its body."""
+        return capture.with_body(self.body, self.poses)
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A model that was planned for a capture.
+
+    Attributes:
+        plan: the plan, its preset included.
+        bands: (V, 2) float32 metres, what the band needs outside and inside at each vertex; at most the preset's.
+        seconds: what planning took.
+    """
+
+    plan: Plan
+    bands: np.ndarray
+    seconds: float
+
+
+def reference(capture: Capture, options: TrainingOptions, show: Show = lambda text: None) -> Reference:
+    """The reference surface that the options ask for.
+
+    A training that ends by the clock spends a tenth of its time on it, at most a minute; others a fixed number of
+    steps, so that they repeat exactly.
+
+    Raises:
+        InputError: the images do not show the body; see `fit_reference`.
+    """
+    body = capture.body
+    if options.atlas == "one-piece":
+        from ndf_mi.body.atlas import with_one_piece  # needs packages that other trainings do not
+
+        body = with_one_piece(body, capture.poses.vertices[0] if body.template is None else None)
+    if options.surface == "body":
+        return Reference(body, capture.poses)
+    budget = min(SHARE * options.seconds, LONGEST) if options.seconds > 0 else None
+    show("fitting the reference surface")
+    fitted = fit_reference(capture.with_body(body, capture.poses), budget, options.seed,
+                           lambda seconds, step, loss: show(f"fitting the reference surface: step {step}"))
+    return Reference(fitted.body, fitted.poses, {"offsets": fitted.offsets}, fitted.residual,
+                     fitted.agreement, fitted.seconds)
+
+
+def planned(capture: Capture, surface: Reference, settings: PlanSettings = PlanSettings(),  # noqa: B008
+            show: Show = lambda text: None) -> Planned:
+    """The model that a capture needs around a reference surface.
+
+    Raises:
+        InputError: an image cannot be read, or none shows the surface within the mask.
+    """
+    started = time.perf_counter()
+    found = plan(surface.seen_by(capture), settings, lambda step: show(f"planning the model: {step}"))
+    return Planned(found, found.bands, time.perf_counter() - started)
+
+
+def with_bands(surface: Reference, bands: np.ndarray, preset: Preset) -> Reference:
+    """The surface with a band of its own at every vertex, at most as wide as the preset's."""
+    widest = np.array([preset.band, preset.band_inside], np.float32)
+    return replace(surface, tensors={**surface.tensors, "bands": np.minimum(bands, widest)})
+
+
+def record(surface: Reference) -> dict[str, Any]:
+    """What `config.json` says of the surface."""
+    if surface.agreement is None:
+        return {}
+    lengths = np.linalg.norm(surface.tensors["offsets"], axis=1)
+    return {"surface": {"seconds": round(surface.seconds, 3), "agreement": round(surface.agreement, 4),
+                        "offset_median_mm": round(1e3 * float(np.median(lengths)), 1),
+                        "offset_max_mm": round(1e3 * float(lengths.max()), 1)}}
