@@ -112,6 +112,7 @@ def test_an_ablation_keeps_its_runs(old: Path) -> None:
         "direction_octaves=-1",
         "strata=2",
         "coordinates=texel",
+        "surface=body",
         "rays=256",
         "samples=24",
     ]

@@ -15,7 +15,7 @@ from ndf_mi.run import Run
 @pytest.fixture(scope="session")
 def trained_run(capture, tmp_path_factory) -> Run:
     """Its colours do not depend on the view direction, so that it can be put onto a grid."""
-    options = TrainingOptions(steps=60, rays=256, samples=32, max_depth=3)
+    options = TrainingOptions(surface="body", steps=60, rays=256, samples=32, max_depth=3)
     small = dataclasses.replace(preset("tiny"), grid_levels=2, direction_octaves=-1)
     trainer = start(tmp_path_factory.mktemp("trained") / "run", capture, small, options)
     train(trainer, quiet=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from ndf_mi.capture.capture import Capture
     from ndf_mi.field import Preset
     from ndf_mi.learn.options import TrainingOptions
-    from ndf_mi.learn.prepare import Reference
     from ndf_mi.learn.trainer import Trainer
 
 
@@ -33,8 +32,8 @@ class Optimise:
     """The run's folder: new or empty, or an existing run with --resume."""
 
     model: str | None = None
-    """auto, the default: fit the reference surface and plan the architecture that the capture needs. preset: the
-    fixed preset. Or a plan's file, as `ndf-mi plan` writes it."""
+    """auto, the default: plan the architecture that the capture needs. preset: the fixed preset. Or a plan's
+    file, as `ndf-mi plan` writes it."""
 
     preset: Annotated[str | None, tyro.conf.arg(help=f"A fixed architecture, {PRESET_HELP}; implies --model "
                                                      "preset, whose default is fast.")] = None
@@ -94,23 +93,36 @@ class Optimise:
         return resume(self.out, capture)
 
     def _started(self, capture: Capture) -> Trainer:
-        from ndf_mi.commands.plan import status
+        from ndf_mi.commands.plan import planned, printed, status
         from ndf_mi.field import preset as preset_of
         from ndf_mi.learn.loop import expect_new, start
-        from ndf_mi.learn.prepare import reference
+        from ndf_mi.learn.prepare import reference, with_bands
         from ndf_mi.learn.scattering import relightable
+        from ndf_mi.planning.plan import PlanSettings, read_preset
 
         name = self._preset_name()
         training = self._configured(None)[1]
+        planning = self._plans(training)
+        from_file = None
+        if planning and self.model not in (None, "auto"):
+            from_file = read_preset(Path(str(self.model)), capture.digest)
         expect_new(self.out)
         with status() as show:
             surface = reference(capture, training, show)
-        base, plan, spent, surface = self._model(capture, training, surface)
+        base, plan, spent, found = None, None, 0.0, None
+        if from_file:
+            base, plan = from_file
+        elif planning:
+            found = planned(capture, surface, PlanSettings())
+            print(printed(found.plan) + "\n")
+            base, plan, spent = found.plan.preset, found.plan.to_dict(), found.seconds
         preset, training = self._configured(base)
+        if found is not None:
+            surface = with_bands(surface, found.plan, preset, training)
         changed = [] if self.integrator == QUADRATURE else relightable(base or preset_of(name))[1]
         if changed:
-            print(f"{self.integrator}: preset {preset.name} with {', '.join(changed)}, so that colours contain "
-                  "no light, densities are above 0 and paths stay short")
+            print(f"{self.integrator}: preset {preset.name} with {', '.join(changed)}, so that colours "
+                  "contain no light, densities are above 0 and paths stay short")
         return start(self.out, capture, preset, training, plan, surface, spent)
 
     def _preset_name(self) -> str:
@@ -125,23 +137,14 @@ class Optimise:
             self._preset_name(), self.option, ablation_name=self.ablation, steps=self.steps,
             seconds=self.seconds, seed=self.seed, integrator=self.integrator, planned=base)
 
-    def _model(self, capture: Capture, training: TrainingOptions, surface: Reference
-               ) -> tuple[Preset | None, dict[str, Any] | None, float, Reference]:
-        """The planned preset, the plan as JSON values, the seconds that it took, and the surface with bands; None
-        where the preset is fixed."""
+    def _plans(self, training: TrainingOptions) -> bool:
+        """Whether the architecture comes from a plan."""
         if self.model == "preset" or self.preset is not None:
-            return None, None, 0.0, surface
-        if training.atlas != "body":
-            raise InputError("--option", f"atlas={training.atlas} and a plan", "one of the two",
-                             "A plan chooses the grid's resolution for the body's own atlas: use --model preset.")
-        from ndf_mi.commands.plan import planned, printed
-        from ndf_mi.learn.prepare import with_bands
-        from ndf_mi.planning.plan import PlanSettings, read_preset
-
-        if self.model not in (None, "auto"):
-            return *read_preset(Path(self.model), capture.digest), 0.0, surface
-        found = planned(capture, surface, PlanSettings())
-        print(printed(found.plan) + "\n")
-        if training.bands == "local":
-            surface = with_bands(surface, found.bands, found.plan.preset)
-        return found.plan.preset, found.plan.to_dict(), found.seconds, surface
+            return False
+        if training.atlas == "body":
+            return True
+        why = "plans choose the grid's resolution for the body's own atlas"
+        if self.model is not None:
+            raise InputError("--model", f"atlas={training.atlas} as well", "one of the two", f"{why}.")
+        print(f"atlas={training.atlas}: the fixed preset {self._preset_name()}, because {why}")
+        return False

@@ -44,8 +44,8 @@ class PlanCapture:
     """Seed of the surface's fit, and for drawing places where there are more than are needed."""
 
     surface: Literal["offset", "body"] = "offset"
-    """The reference surface that the field will be wrapped around: the body with offsets that are fitted to the
-    images first, or the body alone."""
+    """The reference surface that the field will be wrapped around: the body with offsets that are fitted to
+    the images first, or the body alone."""
 
     def run(self) -> int:
         """Prints the findings, and writes the plan if requested."""

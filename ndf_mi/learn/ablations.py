@@ -46,7 +46,8 @@ ABLATIONS: dict[str, Ablation] = {
     "naked": Ablation(
         "naked model",
         "l = 0: density and colour exist only on the body's surface, in a layer of one centimetre with four "
-        "times as many samples", _SKIN_LAYER, {"edge_weight": 0.0}, {"density_limit": 2000.0}),
+        "times as many samples",
+        _SKIN_LAYER, {"edge_weight": 0.0, "surface": "body"}, {"density_limit": 2000.0}),
     "no-pose": Ablation(
         "without pose",
         "no network sees the pose: one field for all frames, except for the light on the turning normal",

@@ -24,7 +24,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import Preset
 from ndf_mi.learn.board import Board
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.prepare import Reference, record, reference
+from ndf_mi.learn.prepare import Reference, planned, record, reference, with_bands
 from ndf_mi.learn.scattering import check_integrator
 from ndf_mi.learn.trainer import STATE, Trainer
 from ndf_mi.run import SURFACE, Run
@@ -33,14 +33,16 @@ from ndf_mi.training_log import FILE_NAME as LOG
 _LOG_EVERY = 50
 
 
-def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, options: TrainingOptions,
-          plan: dict[str, Any] | None = None, surface: Reference | None = None, spent: float = 0.0) -> Trainer:
+def start(path: str | os.PathLike[str], capture: Capture, preset: Preset | None, options: TrainingOptions,
+          plan: dict[str, Any] | None = None, surface: Reference | None = None,
+          spent: float = 0.0) -> Trainer:
     """Creates a run in a new or empty folder.
 
     Args:
         path: the folder.
         capture: what to train on.
-        preset, options: architecture and training.
+        preset: architecture; None plans it.
+        options: training.
         plan: the plan that the preset comes from, as JSON values, to be recorded in the run's `config.json`.
         surface: the reference surface; None makes the one that the options ask for.
         spent: seconds that planning took; they and those of the surface count as training.
@@ -52,6 +54,10 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset, option
     check_integrator(options.integrator)
     expect_new(path)
     surface = surface or reference(capture, options)
+    if preset is None:
+        found = planned(capture, surface)
+        preset, plan, spent = found.plan.preset, found.plan.to_dict(), spent + found.seconds
+        surface = with_bands(surface, found.plan, preset, options)
     run = Run.create(
         path, preset, surface.body, surface.poses, options.seed, surface.tensors,
         background=[float(v) for v in capture.background],

@@ -36,7 +36,7 @@ class TrainingOptions:
     atlas: str = "body"
     """Texture coordinates: `body` for the capture's own, `one-piece` for the body cut into one chart."""
 
-    surface: Literal["body", "offset"] = "body"
+    surface: Literal["body", "offset"] = "offset"
     """The reference surface: `offset`, the body with static offsets that are fitted to the training images
     first, so that clothes and hair come within reach of a thin band; or `body`, the body alone, as in the
     paper."""

@@ -54,21 +54,19 @@ class Planned:
     """A model that was planned for a capture.
 
     Attributes:
-        plan: the plan, its preset included.
-        bands: (V, 2) float32 metres, what the band needs outside and inside at each vertex; at most the preset's.
+        plan: the plan.
         seconds: what planning took.
     """
 
     plan: Plan
-    bands: np.ndarray
     seconds: float
 
 
 def reference(capture: Capture, options: TrainingOptions, show: Show = lambda text: None) -> Reference:
     """The reference surface that the options ask for.
 
-    A training that ends by the clock spends a tenth of its time on it, at most a minute; others a fixed number of
-    steps, so that they repeat exactly.
+    A training that ends by the clock spends a tenth of its time on it, at most a minute; others a fixed
+    number of steps, so that they repeat exactly.
 
     Raises:
         InputError: the images do not show the body; see `fit_reference`.
@@ -97,13 +95,20 @@ def planned(capture: Capture, surface: Reference, settings: PlanSettings = PlanS
     """
     started = time.perf_counter()
     found = plan(surface.seen_by(capture), settings, lambda step: show(f"planning the model: {step}"))
-    return Planned(found, found.bands, time.perf_counter() - started)
+    return Planned(found, time.perf_counter() - started)
 
 
-def with_bands(surface: Reference, bands: np.ndarray, preset: Preset) -> Reference:
-    """The surface with a band of its own at every vertex, at most as wide as the preset's."""
-    widest = np.array([preset.band, preset.band_inside], np.float32)
-    return replace(surface, tensors={**surface.tensors, "bands": np.minimum(bands, widest)})
+def with_bands(surface: Reference, plan: Plan, preset: Preset, options: TrainingOptions) -> Reference:
+    """The surface with the plan's band at every vertex; without where the options or another band that was
+    asked for make it uniform.
+
+    Args:
+        preset: what will be trained.
+    """
+    asked = (preset.band, preset.band_inside) != (plan.preset.band, plan.preset.band_inside)
+    if plan.bands is None or asked or options.bands == "uniform":
+        return surface
+    return replace(surface, tensors={**surface.tensors, "bands": plan.bands})
 
 
 def record(surface: Reference) -> dict[str, Any]:

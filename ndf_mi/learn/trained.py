@@ -22,12 +22,13 @@ def is_trained(folder: Path) -> bool:
     return (folder / "config.json").exists() and bool(Run.load(folder).config.get("trained", {}).get("done"))
 
 
-def trained(folder: Path, capture: Capture, preset: Preset, options: TrainingOptions, quiet: bool = False,
-            progress: Callable[[float, int, float], None] | None = None) -> Run:
+def trained(folder: Path, capture: Capture, preset: Preset | None, options: TrainingOptions,
+            quiet: bool = False, progress: Callable[[float, int, float], None] | None = None) -> Run:
     """The run in a folder, trained to its end. A finished run is loaded, a stopped one continues with its own
     options, and a missing one is started.
 
     Args:
+        preset: architecture; None plans it.
         quiet, progress: as for `train`.
 
     Raises:
@@ -52,11 +53,17 @@ def clear(folder: Path) -> None:
         file.unlink(missing_ok=True)
 
 
-def expect_options(run: Run, capture: Capture, preset: Preset, options: TrainingOptions) -> None:
-    """Raises InputError unless the run has these options and was trained on the capture."""
+def expect_options(run: Run, capture: Capture, preset: Preset | None, options: TrainingOptions) -> None:
+    """Raises InputError unless the run has these options and was trained on the capture. Without a preset,
+    the run must have been planned."""
     expect_capture(run, capture)
     # Compared field by field: dictionaries of presets omit fields that older versions did not have.
     had = read_options(run.config, f"{run.path / 'config.json'}: ")
+    if preset is None:
+        if "plan" not in run.config:
+            raise InputError(f"{run.path / 'config.json'}: plan", "nothing", "the plan of its architecture",
+                             "Use another folder.")
+        preset = had[0]
     for key, before, now in (("preset", had[0], preset), ("training", had[1], options)):
         have, want = dataclasses.asdict(before), dataclasses.asdict(now)
         other = sorted(option for option in want if have[option] != want[option])

@@ -118,7 +118,8 @@ class Trainer:
     def done(self) -> float:
         """Share of the training that is done, in [0, 1]."""
         by_steps = self._taken / self.options.steps
-        by_clock = self._seconds / self.options.seconds if self.options.seconds > 0 else 0.0
+        # What goes before may take all of a short time: one step is always taken.
+        by_clock = self._seconds / self.options.seconds if self.options.seconds > 0 and self._taken else 0.0
         return min(1.0, max(by_steps, by_clock))
 
     @property

@@ -41,7 +41,7 @@ class NeuralField:
 
     Args:
         samples: candidate samples a ray.
-        preset: the architecture that `fit` trains.
+        preset: the architecture that `fit` trains; by default, the one planned for the capture.
 
     Attributes:
         run: what is rendered, once trained or loaded.
@@ -49,9 +49,9 @@ class NeuralField:
 
     key, label = "ndf", "NDF"
 
-    def __init__(self, samples: int = 128, preset: str = "fast") -> None:
+    def __init__(self, samples: int = 128, preset: str | None = None) -> None:
         self._renderer = ImageRenderer(samples=samples)
-        self._preset = preset_of(preset)
+        self._preset = None if preset is None else preset_of(preset)
 
     @classmethod
     def of(cls, run: Run, samples: int = 128) -> NeuralField:

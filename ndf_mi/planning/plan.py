@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ndf_mi import files
 from ndf_mi.errors import InputError
 from ndf_mi.field import Preset
@@ -86,6 +88,8 @@ class Plan:
         settings: how much a part must be worth.
         findings: in the order of the questions.
         preset: the planned architecture.
+        bands: (V, 2) float32 metres, what the band needs outside and inside at each vertex, at most the
+            preset's; None where it was not measured. Not part of the file.
     """
 
     capture: dict[str, str]
@@ -93,6 +97,7 @@ class Plan:
     settings: PlanSettings
     findings: tuple[Finding, ...]
     preset: Preset
+    bands: np.ndarray | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The plan as JSON values."""

@@ -22,7 +22,7 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.methods import ndf
 from ndf_mi.reports.ablate import PAPER, agreement, order
 
-OPTIONS = TrainingOptions(steps=4, rays=128, samples=24)
+OPTIONS = TrainingOptions(surface="body", steps=4, rays=128, samples=24)
 MEASURED = Evaluation(max_images=1, sequence=2, samples=16)
 
 
@@ -181,7 +181,7 @@ def test_studies_older_than_an_option_continue(capture, tmp_path, untrained):
 
 def test_other_options_are_refused_by_name(capture, folder):
     with pytest.raises(InputError, match="rays = 128"):
-        study(capture, folder, options=TrainingOptions(steps=4, rays=64, samples=24))
+        study(capture, folder, options=TrainingOptions(surface="body", steps=4, rays=64, samples=24))
     config = json.loads((folder / "full" / "config.json").read_text())
     del config["training"]
     (folder / "full" / "config.json").write_text(json.dumps(config))

@@ -26,7 +26,7 @@ def captures(make_constant_run, lit_capture):
 @pytest.fixture
 def trained(captures, tmp_path):
     tiny, _ = relightable(preset("tiny"))
-    options = TrainingOptions(
+    options = TrainingOptions(surface="body",
         steps=4, warm_up=2, rays=64, samples=16, paths=2, max_depth=4, cell=0.03, integrator="prbvolpath"
     )
     train(start(tmp_path / "run", captures[0], tiny, options), quiet=True)

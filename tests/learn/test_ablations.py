@@ -16,7 +16,8 @@ from ndf_mi.run import Run
 
 @pytest.mark.parametrize("name", ABLATIONS)
 def test_an_ablation_trains_and_reads_back(name, capture, tmp_path):
-    options, training = ablation(name).apply(preset("tiny"), TrainingOptions(steps=2, rays=64, samples=16))
+    short = TrainingOptions(surface="body", steps=2, rays=64, samples=16)
+    options, training = ablation(name).apply(preset("tiny"), short)
     trainer = start(tmp_path / "run", capture, options, training)
     train(trainer, quiet=True)
     assert math.isfinite(trainer.progress.error)

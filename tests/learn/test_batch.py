@@ -15,7 +15,7 @@ PIXEL = 2.5 / 72
 
 
 def draw(capture, **changes):
-    options = dataclasses.replace(TrainingOptions(seed=4), **changes)
+    options = dataclasses.replace(TrainingOptions(surface="body", seed=4), **changes)
     return BatchSampler(capture, options, 1, capture.poses)(np.random.default_rng(0))
 
 

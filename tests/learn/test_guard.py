@@ -16,7 +16,7 @@ from ndf_mi.learn.loop import resume, start, train
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.run import Run
 
-OPTIONS = TrainingOptions(steps=12, rays=128, samples=16, seed=4)
+OPTIONS = TrainingOptions(surface="body", steps=12, rays=128, samples=16, seed=4)
 TINY = dataclasses.replace(preset("tiny"), band_inside=0.08)
 
 

@@ -18,7 +18,7 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.render.image import ImageRenderer
 from ndf_mi.run import Run
 
-OPTIONS = TrainingOptions(steps=60, rays=256, samples=24, seed=4)
+OPTIONS = TrainingOptions(surface="body", steps=60, rays=256, samples=24, seed=4)
 TINY = dataclasses.replace(preset("tiny"), band_inside=0.08)
 
 

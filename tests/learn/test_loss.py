@@ -16,7 +16,7 @@ RAYS, SAMPLES, REPEATS = 64, 4, 2000
 
 
 def image_loss(**changes):
-    options = dataclasses.replace(TrainingOptions(edge_weight=0.0), **changes)
+    options = dataclasses.replace(TrainingOptions(surface="body", edge_weight=0.0), **changes)
     return ImageLoss(options, mi.Color3f(0.0), band=0.08, density_gain=1.0)
 
 

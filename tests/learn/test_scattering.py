@@ -21,9 +21,9 @@ from ndf_mi.run import Run
 
 TINY, _ = relightable(dataclasses.replace(preset("tiny"), band_inside=0.08, pose_layers=(),
                                           density_limit=60.0))
-OPTIONS = TrainingOptions(steps=120, warm_up=60, rays=256, samples=24, paths=8, max_depth=6, cell=0.02,
-                          seed=4,
-                          integrator="prbvolpath", learning_rate=1e-2, grid_rate=3e-2, pose_noise=0.0)
+OPTIONS = TrainingOptions(surface="body", steps=120, warm_up=60, rays=256, samples=24, paths=8, max_depth=6,
+                          cell=0.02, seed=4, integrator="prbvolpath", learning_rate=1e-2, grid_rate=3e-2,
+                          pose_noise=0.0)
 ALBEDO = (0.9, 0.6, 0.3)
 
 

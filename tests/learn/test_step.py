@@ -14,7 +14,7 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.step import QuadratureStep
 from ndf_mi.run import Run
 
-OPTIONS = TrainingOptions(rays=128, samples=16, min_transmittance=0.0)
+OPTIONS = TrainingOptions(surface="body", rays=128, samples=16, min_transmittance=0.0)
 
 
 @pytest.fixture(scope="module")

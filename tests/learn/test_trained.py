@@ -14,7 +14,7 @@ from ndf_mi.learn.trained import clear, expect_options, is_trained, trained
 from ndf_mi.run import Run
 
 TINY = preset("tiny")
-OPTIONS = TrainingOptions(steps=4, rays=64, samples=8)
+OPTIONS = TrainingOptions(surface="body", steps=4, rays=64, samples=8)
 
 
 def test_a_training_is_started_continued_or_finished_already(capture, tmp_path):

@@ -30,7 +30,7 @@ from ndf_mi.stability.ball import RADIUS, charts, icosphere, looking
 from ndf_mi.stability.case import Check, case, error
 from ndf_mi.stability.curves import decode, encode, encode_slope
 
-OPTIONS = TrainingOptions(steps=4, rays=64, samples=16, seed=3, pose_noise=0.0)
+OPTIONS = TrainingOptions(surface="body", steps=4, rays=64, samples=16, seed=3, pose_noise=0.0)
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 """Of Adam; `mi.ad.Adam` adds ε² to v under the root."""
 

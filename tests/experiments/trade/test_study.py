@@ -171,7 +171,7 @@ def test_a_plan_that_leaves_layers_out_has_all_of_the_points():
     # Without a view direction in its colours it can be put onto a grid, too.
     full = [point.key for point in points.rendering_points(Preset())]
     assert [key for key in keys if "grid" not in key] == full and "usual" in keys and len(keys) > len(full)
-    variants = points.variants_of(planned, TrainingOptions())
+    variants = points.variants_of(planned, TrainingOptions(surface="body"))
     assert variants[0].preset == planned and {"width-0.5", "width-2"} < {v.key for v in variants}
     assert all(v.preset.colour_layers == () for v in variants if v.axis in ("band", "width", "encoding"))
 
