@@ -74,6 +74,13 @@ class Optimise:
             raise
         now = trainer.progress
         print(f"{self.out}: {now.step} steps in {now.seconds:.0f} s, {now.psnr:.2f} dB on the training rays")
+        if now.kept_step is not None:
+            kept = f"{now.kept_psnr:.2f} dB on held-back training views"
+            if now.kept_step == now.step:
+                print(f"{kept}, the most of all steps measured")
+            else:
+                print(f"{kept} after step {now.kept_step}, which is kept; {now.held_back_psnr:.2f} dB after "
+                      f"step {now.held_back_step}")
         options = trainer.options
         if options.integrator != QUADRATURE and not trainer.run.scattered:
             print(f"warning: {options.integrator} was not used, because it starts after {options.warm_up} "

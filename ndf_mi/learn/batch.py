@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import mitsuba as mi
@@ -88,13 +89,14 @@ class BatchSampler:
         options: sampling.
         sample_factor: of the preset.
         poses: of the reference surface. Pixels are drawn from the box around it and the capture's body.
+        held_back: views that are never drawn: indices of their frames and cameras in the split.
 
     Raises:
         InputError: the split is empty, or an image shows nothing of the performer.
     """
 
     def __init__(self, capture: Capture, options: TrainingOptions, sample_factor: int,
-                 poses: Poses) -> None:
+                 poses: Poses, held_back: Collection[tuple[int, int]] = ()) -> None:
         split = capture.splits["train"]
         self._options = options
         self._poses = poses
@@ -106,9 +108,10 @@ class BatchSampler:
                              "at least one of each")
         self._views: dict[tuple[int, int], _View] = {}
         for row, frame in enumerate(self._frames):
-            vertices = np.concatenate([each.vertices[each.index(frame)] for each in (capture.poses, poses)])
-            low, high = vertices.min(0) - options.box_padding, vertices.max(0) + options.box_padding
+            low, high = drawing_box(capture, poses, frame, options.box_padding)
             for column, name in enumerate(split.cameras):
+                if (row, column) in held_back:
+                    continue
                 matte = capture.matte(name, frame)
                 mask = matte >= 0.5
                 allowed = ~_edge(mask, options.edge_kernel)
@@ -122,6 +125,9 @@ class BatchSampler:
                     _bytes(capture.image(name, frame)).reshape(-1, 3), _bytes(matte).ravel(),
                     _bytes(valid).ravel(),
                     np.flatnonzero(mask & allowed).astype(np.uint32), np.flatnonzero(box).astype(np.uint32))
+        self._columns: dict[int, list[int]] = {}
+        for row, column in self._views:
+            self._columns.setdefault(row, []).append(column)
 
     def __call__(self, rng: np.random.Generator, edge_active: bool = False,
                  scattering: bool = False) -> Batch:
@@ -133,12 +139,14 @@ class BatchSampler:
             scattering: whether the step is through scattering and needs seeds for its paths.
         """
         options = self._options
-        row = int(rng.integers(len(self._frames)))
-        counts = np.full(len(self._cameras), options.rays // len(self._cameras))
-        counts[: options.rays % len(self._cameras)] += 1
+        row = list(self._columns)[int(rng.integers(len(self._columns)))]
+        columns = self._columns[row]
+        counts = np.full(len(columns), options.rays // len(columns))
+        counts[: options.rays % len(columns)] += 1
         rng.shuffle(counts)
-        parts = [self._draw(rng, row, column, int(count)) for column, count in enumerate(counts) if count]
-        rays = [np.concatenate(columns, axis=-1, dtype=np.float32) for columns in zip(*parts, strict=True)]
+        parts = [self._draw(rng, row, column, int(count))
+                 for column, count in zip(columns, counts, strict=True) if count]
+        rays = [np.concatenate(values, axis=-1, dtype=np.float32) for values in zip(*parts, strict=True)]
         jitter = rng.random(self._candidates, dtype=np.float32)
         pose = self._poses.pose[self._poses.index(self._frames[row])].astype(np.float32)
         if options.pose_noise > 0:
@@ -159,6 +167,17 @@ class BatchSampler:
         in_box = np.arange(count) >= on_mask
         mask, mask_valid = (of[pixels].astype(np.float32) / 255 for of in (view.mask, view.mask_valid))
         return origin, direction, target, mask, mask_valid, in_box
+
+
+def drawing_box(capture: Capture, poses: Poses, frame: int, padding: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (3,) and (3,) of the box, in world space, from whose pixels rays are drawn.
+
+    Args:
+        poses: of the reference surface; the box is around it and the capture's body.
+        padding: in metres.
+    """
+    vertices = np.concatenate([each.vertices[each.index(frame)] for each in (capture.poses, poses)])
+    return vertices.min(0) - padding, vertices.max(0) + padding
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:

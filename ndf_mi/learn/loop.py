@@ -165,6 +165,8 @@ def train(trainer: Trainer, quiet: bool = False,
                 if now.step % _LOG_EVERY == 0 or trainer.done >= 1:
                     _log(log, board, trainer)
                     psnr = f"step {now.step}  {now.psnr:.2f} dB"
+                    if now.held_back_psnr is not None:
+                        psnr += f"  held back {now.held_back_psnr:.2f} dB"
                     bar.update(task, completed=trainer.done, psnr=psnr)
                 if time.perf_counter() - last_save > trainer.options.checkpoint_seconds:
                     trainer.save()
@@ -181,6 +183,8 @@ def _finish(trainer: Trainer) -> None:
     trainer.save()
     run, now = trainer.run, trainer.progress
     run.config["trained"] = {"steps": now.step, "seconds": now.seconds, "done": trainer.done >= 1}
+    if now.kept_step is not None and now.kept_psnr is not None:
+        run.config["trained"]["kept"] = {"step": now.kept_step, "held_back_psnr": round(now.kept_psnr, 4)}
     files.write_json(run.path / "config.json", run.config)
 
 
@@ -219,6 +223,9 @@ def _log(log: TextIO, board: Board, trainer: Trainer) -> None:
            "samples": now.evaluated}
     if now.box_psnr is not None:
         row["box_psnr"] = round(now.box_psnr, 4)
+    if now.held_back_psnr is not None and now.held_back_step == now.step:
+        row["held_back_psnr"] = round(now.held_back_psnr, 4)
+        board.scalar("held_back/psnr", row["held_back_psnr"], now.step)
     if now.steps_refused:
         row |= {"refused": now.steps_refused, "rate_factor": now.rate_factor}
     print(json.dumps(row), file=log, flush=True)

@@ -61,12 +61,19 @@ class ImageLoss:
             in_box: 1 for the rays drawn from the whole box, else 0.
             edge_active: whether the edge term counts.
         """
-        colour = linear_to_srgb(radiance.colour + (1.0 - radiance.opacity) * self._background)
-        error = dr.squared_norm(colour - target) / 3.0
+        error = self._errors(radiance, target)
         image, detached = dr.mean(error), dr.detach(error)
         box = None if in_box is None else dr.sum(dr.select(in_box > 0, detached, 0.0)) / dr.sum(in_box)
         return Loss(image + self.density_terms(radiance, mask, mask_valid, edge_active),
                     dr.detach(image), box)
+
+    def image_error(self, radiance: Radiance, target: mi.Color3f) -> mi.Float:
+        """The mean squared error in sRGB alone, one number."""
+        return dr.mean(self._errors(radiance, target))
+
+    def _errors(self, radiance: Radiance, target: mi.Color3f) -> mi.Float:
+        colour = linear_to_srgb(radiance.colour + (1.0 - radiance.opacity) * self._background)
+        return dr.squared_norm(colour - target) / 3.0
 
     def density_terms(self, radiance: Radiance, mask: mi.Float, mask_valid: mi.Float,
                       edge_active: bool) -> mi.Float:

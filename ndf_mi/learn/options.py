@@ -53,6 +53,11 @@ class TrainingOptions:
     mask_share: float = 0.5
     """Share of the rays drawn from the mask's pixels; the others are drawn from the body's padded box."""
 
+    held_back: float = 0.05
+    """Share of the training views that training never draws. Their error is measured some 30 times, and the
+    best field is kept instead of the last. The number of views is rounded, and at most 12; 0 holds back
+    none. Steps through scattering use all views."""
+
     edge_kernel: int = 0
     """Skip pixels if a square of this many pixels around them holds both performer and background; 0 skips
     none, the paper uses 3."""
@@ -130,6 +135,7 @@ class TrainingOptions:
             self._check(key, getattr(self, key) >= 2, "at least 2")
         self._check("warm_up", self.integrator == QUADRATURE or self.warm_up < self.steps,
                     f"fewer than the {self.steps} steps in all")
+        self._check("held_back", 0 <= self.held_back <= 0.5, "a number in [0, 0.5]")
         self._check("mask_share", 0 <= self.mask_share <= 1, "a number in [0, 1]")
 
     def _check(self, key: str, good: bool, expected: str) -> None:
@@ -144,11 +150,13 @@ class TrainingOptions:
     def from_dict(cls, values: dict[str, Any], where: str = "training") -> TrainingOptions:
         """The options from JSON values. Raises InputError for an unknown option or a wrong type."""
         # Trainings that were saved before these options existed ran without them.
-        before = {"pose_noise": 0.0, "opacity_edge": 0, "min_transmittance": 0.0, "surface": "body"}
+        before = {"pose_noise": 0.0, "opacity_edge": 0, "min_transmittance": 0.0, "surface": "body",
+                  "held_back": 0.0}
         return read_options(cls, before | rename_entries(values, TRAINING_FIELDS), where)
 
     @classmethod
     def paper(cls) -> TrainingOptions:
         """The published schedule and loss."""
         return cls(steps=200_000, surface="body", edge_kernel=3, learning_rate=5e-4, decay_steps=500_000,
-                   opacity_weight=0.0, skip_empty=False, min_transmittance=0.0, pose_noise=0.0)
+                   opacity_weight=0.0, skip_empty=False, min_transmittance=0.0, pose_noise=0.0,
+                   held_back=0.0)

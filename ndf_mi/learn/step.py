@@ -69,6 +69,14 @@ class QuadratureStep:
                           mi.Float(batch.mask_valid), mi.Float(batch.in_box), batch.edge_active)
         return loss.total, statistics(radiance, posed, loss.image, loss.box)
 
+    def image_error(self, parameters: FieldParameters, batch: Batch) -> float:
+        """Mean squared error in sRGB of the batch's rays, rendered as in images: no sample is skipped."""
+        with dr.suspend_grad():
+            run = self._run
+            posed = PosedModel(run.model, parameters, run.surface(batch.frame), mi.Float(batch.pose))
+            radiance = quadrature(posed, batch.ray, self._options.samples, jitter=mi.Float(batch.jitter))
+            return float(self._loss.image_error(radiance, mi.Color3f(batch.target))[0])
+
     def density_terms(self, parameters: FieldParameters, batch: Batch
                       ) -> tuple[mi.Float, Radiance, PosedModel]:
         """The loss's terms in the density alone, one number, and what they were computed from."""

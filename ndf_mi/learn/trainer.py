@@ -17,7 +17,9 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import FieldParameters
 from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.learn.batch import Batch, BatchSampler
+from ndf_mi.learn.best import Best
 from ndf_mi.learn.guard import Guard
+from ndf_mi.learn.held_back import EVERY, SHARE, HeldBackRays, choose_views
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.scattering import ScatteringStep, capture_lights
 from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
@@ -45,6 +47,12 @@ class Progress:
         evaluated: samples that reached the networks in the last step.
         steps_refused: steps that were not taken because gradients or parameters would not have been finite.
         rate_factor: factor on the learning rates that refused steps have left.
+        held_back_error: mean squared error in sRGB of the held-back rays when they were last rendered; NaN
+            before that, and if none are held back.
+        held_back_step: steps taken then.
+        kept_step: steps after which that error was least: what is published. None before the first
+            measurement, and if no rays are held back: then the last parameters are published.
+        kept_error: the error then, or NaN.
     """
 
     step: int
@@ -54,6 +62,10 @@ class Progress:
     evaluated: int
     steps_refused: int = 0
     rate_factor: float = 1.0
+    held_back_error: float = float("nan")
+    held_back_step: int = 0
+    kept_step: int | None = None
+    kept_error: float = float("nan")
 
     @property
     def psnr(self) -> float:
@@ -63,14 +75,25 @@ class Progress:
     @property
     def box_psnr(self) -> float | None:
         """The same over the rays drawn from the whole box, in which pixels are as frequent as in an image."""
-        return -10 * math.log10(max(self.box_error, 1e-12)) if math.isfinite(self.box_error) else None
+        return _psnr(self.box_error)
+
+    @property
+    def held_back_psnr(self) -> float | None:
+        """The same over the held-back rays when they were last rendered."""
+        return _psnr(self.held_back_error)
+
+    @property
+    def kept_psnr(self) -> float | None:
+        """The same of the parameters that are published."""
+        return _psnr(self.kept_error)
 
 
 class Trainer:
     """Trains the field of a run on the training split of a capture.
 
     With a scattering integrator the first `warm_up` steps are by quadrature, and those through scattering
-    begin with fresh moments. Parameters live in the optimisers; :meth:`publish` copies them to the run.
+    begin with fresh moments. Parameters live in the optimisers; :meth:`publish` copies them to the run, or
+    those that had the least error on held-back views, where there are some.
 
     Args:
         run: what to train.
@@ -94,8 +117,14 @@ class Trainer:
         self._lights: dict[str, Any] = {}
         if options.integrator != QUADRATURE:
             self._lights = capture_lights(run, capture, options)
+        split = capture.splits["train"]
+        # Quadrature would measure something else than what steps through scattering improve.
+        share = options.held_back if options.integrator == QUADRATURE else 0.0
+        held_back = choose_views(len(split.frames), len(split.cameras), share, options.seed)
         self.batches: Callable[[np.random.Generator, bool, bool], Batch] = BatchSampler(
-            capture, options, run.model.field.preset.sample_factor, run.poses)
+            capture, options, run.model.field.preset.sample_factor, run.poses, held_back)
+        self._held_back = HeldBackRays(run, capture, options, held_back) if held_back else None
+        self._best = Best()
         self._rng = np.random.default_rng([options.seed, 1])
         self._occupancy = Occupancy(threshold=_EMPTY) if options.skip_empty else None
         self._quadrature = QuadratureStep(run, options, self._occupancy)
@@ -111,8 +140,10 @@ class Trainer:
     @property
     def progress(self) -> Progress:
         """How far the training has come."""
+        best = self._best
         return Progress(self._taken, self._seconds, self._error, self._box_error, self._evaluated,
-                        self._guard.steps_refused, self._guard.rate_factor)
+                        self._guard.steps_refused, self._guard.rate_factor, best.last, best.last_step,
+                        best.step if best.parameters else None, best.error)
 
     @property
     def done(self) -> float:
@@ -147,11 +178,15 @@ class Trainer:
             self._guard.refuse(self._taken + 1)
         else:
             self._record(statistics)
+            self._measure_held_back()
         self._seconds += time.perf_counter() - started
 
     def publish(self) -> None:
-        """Copies the current parameters, detached, to the run."""
-        self.run.parameters = self.parameters.detached()
+        """Copies the parameters, detached, to the run: those with the least held-back error if it was
+        measured, else the current ones."""
+        kept = self._best.parameters
+        self.run.parameters = (FieldParameters(**{name: values[name] for name, values in kept.items()})
+                               if kept else self.parameters.detached())
 
     def save(self) -> None:
         """Writes the training state, then the field."""
@@ -160,6 +195,7 @@ class Trainer:
             tensors |= adam_tensors(optimiser, _PREFIXES[name])
         if self._occupancy is not None:
             tensors["occupancy"] = self._occupancy.values.numpy()
+        tensors |= self._best.tensors()
         metadata: dict[str, Any] = {
             "step": self._taken,
             "seconds": self._seconds,
@@ -168,6 +204,7 @@ class Trainer:
             "rate_factor": self._guard.rate_factor,
             "refused": self._guard.steps_refused,
             "random": self._rng.bit_generator.state,
+            "best": self._best.metadata(),
         }
         write_state(self.run.path / STATE, tensors, metadata)
         self.publish()
@@ -187,11 +224,13 @@ class Trainer:
             self._rng.bit_generator.state = metadata["random"]
             self._taken, self._seconds = int(metadata["step"]), float(metadata["seconds"])
             self._error = _number(metadata["error"])
-            # Older files lack these three.
+            # Older files lack these three, and the best parameters.
             self._box_error = _number(metadata.get("box_error"))
             self._guard.rate_factor = float(metadata.get("rate_factor", 1.0))
             self._guard.steps_refused = int(metadata.get("refused", 0))
             self._guard.snapshot()
+            if "best" in metadata:
+                self._best.restore(tensors, metadata["best"], self.optimisers, str(path))
             if self._occupancy is not None:
                 self._occupancy.restore(tensors["occupancy"], self._taken)
         except (KeyError, TypeError, ValueError) as error:
@@ -251,6 +290,15 @@ class Trainer:
         self._evaluated = statistics.evaluated
         self._taken += 1
 
+    def _measure_held_back(self) -> None:
+        """Renders the held-back rays if it is time to, and keeps the parameters if they are the best."""
+        if self._held_back is None:
+            return
+        done = self.done
+        if done >= 1 or (self._taken % EVERY == 0 and done - self._best.last_done >= 0.999 * SHARE):
+            error = self._held_back.error(self._quadrature.image_error, self.parameters)
+            self._best.observe(self._taken, done, error, self.optimisers)
+
     def _set_rates(self) -> float:
         """Sets the optimisers' learning rates; returns the larger one."""
         options = self.options
@@ -279,6 +327,10 @@ _PREFIXES = {"weights": "networks", "grid": "table"}
 
 def _number(value: float | None) -> float:
     return float("nan") if value is None else float(value)
+
+
+def _psnr(error: float) -> float | None:
+    return -10 * math.log10(max(error, 1e-12)) if math.isfinite(error) else None
 
 
 def _smoothed(before: float, now: float) -> float:

@@ -1,0 +1,96 @@
+"""Training views that training never draws: their error says when the field fits the others too closely."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ndf_mi.capture.camera import box_pixels, pixel_rays
+from ndf_mi.capture.capture import Capture
+from ndf_mi.field import FieldParameters
+from ndf_mi.learn.batch import Batch, drawing_box
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.run import Run
+
+MOST_VIEWS = 12
+"""Largest number of views that are held back; more would say little more."""
+RAYS = 2048
+"""Rays of all held-back views together."""
+EVERY = 50
+"""Held-back rays are rendered after steps whose number is a multiple of this, …"""
+SHARE = 1 / 30
+"""… and after at least this share of the training since the last time, and at its end."""
+
+View = tuple[int, int]
+"""A training image: indices of its frame and of its camera in the training split."""
+
+
+def choose_views(frames: int, cameras: int, share: float, seed: int) -> tuple[View, ...]:
+    """Views to hold back, spread evenly over frames and over cameras.
+
+    With several cameras every frame keeps a view, with one every second frame does.
+
+    Args:
+        frames, cameras: how many the training split has.
+        share: of the views; the number is rounded, and at most `MOST_VIEWS`.
+        seed: of the order of frames and cameras.
+
+    Returns:
+        As many different views, none where the share is less than half a view.
+    """
+    most = frames * (cameras - 1) if cameras > 1 else frames // 2
+    count = min(math.floor(share * frames * cameras + 0.5), most, MOST_VIEWS)
+    rng = np.random.default_rng([seed, 2])
+    rows, columns = rng.permutation(frames), rng.permutation(cameras)
+    return tuple((int(rows[i % frames]), int(columns[(i % frames + i // frames) % cameras]))
+                 for i in range(count))
+
+
+class HeldBackRays:
+    """Rays of held-back views, drawn once from the box of the performer, in which pixels are as frequent as
+    in an image.
+
+    Args:
+        run: its poses are those of the reference surface.
+        capture: the images.
+        options: sampling.
+        views: what to draw from, at least one.
+
+    Attributes:
+        batches: one for each view.
+    """
+
+    def __init__(self, run: Run, capture: Capture, options: TrainingOptions, views: Sequence[View]) -> None:
+        rng = np.random.default_rng([options.seed, 3])
+        candidates = options.samples * run.model.field.preset.sample_factor
+        self.batches = [_batch(run, capture, options.box_padding, view, RAYS // len(views), candidates, rng)
+                        for view in views]
+
+    def error(self, image_error: Callable[[FieldParameters, Batch], float],
+              parameters: FieldParameters) -> float:
+        """Mean squared error in sRGB of all rays.
+
+        Args:
+            image_error: the same of a batch's rays.
+        """
+        errors = [image_error(parameters, batch) for batch in self.batches]
+        return float(np.average(errors, weights=[len(batch.in_box) for batch in self.batches]))
+
+
+def _batch(run: Run, capture: Capture, padding: float, view: View, rays: int, candidates: int,
+           rng: np.random.Generator) -> Batch:
+    """Different pixels of one view's box, without noise: samples lie in the middles of their strata."""
+    split = capture.splits["train"]
+    frame, name = split.frames[view[0]], split.cameras[view[1]]
+    camera = capture.cameras[name]
+    pixels = np.flatnonzero(box_pixels(camera, *drawing_box(capture, run.poses, frame, padding)))
+    pixels = rng.permutation(pixels)[:rays].astype(np.uint32)
+    origin, direction = (each.astype(np.float32) for each in pixel_rays(camera, pixels))
+    target = capture.image(name, frame).reshape(-1, 3)[pixels].T.astype(np.float32)
+    mask = capture.matte(name, frame).ravel()[pixels].astype(np.float32)
+    ones = np.ones(len(pixels), np.float32)
+    pose = run.poses.pose[run.poses.index(frame)].astype(np.float32)
+    return Batch(frame, origin, direction, target, mask, ones, ones,
+                 np.full(len(pixels) * candidates, 0.5, np.float32), pose.ravel(), edge_active=False)
