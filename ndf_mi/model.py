@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ndf_mi import variants
 from ndf_mi.body.body import Body
@@ -13,7 +14,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import Field, FieldParameters, Preset
 from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.field.sample import FieldSample, Located
-from ndf_mi.projection import PosedSurface, Projection, Surface
+from ndf_mi.projection import Bands, PosedSurface, Projection, Surface
 
 NETWORKS = ("auto", "batched", "fused", "half")
 """How evaluated code runs the networks where nothing is differentiated: as matrix products over all samples,
@@ -34,22 +35,38 @@ class Model:
         body: triangles and texture coordinates.
         poses: the first gives the shape that the search tree is built for, and the number of joints.
         preset: the networks' architecture.
+        bands: (V, 2) how far the band reaches outside and inside at each vertex, in metres, linear over
+            triangles; the largest are the preset's `band` and `band_inside`. None for these everywhere.
 
     Attributes:
         surface: the body's triangles, texture coordinates and search tree.
+        bands: the widths for each place, or None.
         coordinates: what the networks take for a place.
         field: the networks' architecture.
+
+    Raises:
+        InputError: `bands` has another shape, a width is not above 0, or the largest are not the preset's.
     """
 
-    def __init__(self, body: Body, poses: Poses, preset: Preset) -> None:
+    def __init__(self, body: Body, poses: Poses, preset: Preset, bands: np.ndarray | None = None) -> None:
         self.surface = Surface(body.faces, body.uv, body.uv_faces, poses.vertices[0])
+        self.bands = None if bands is None else Bands(self.surface, bands)
+        if self.bands is not None:
+            for name, largest in (("band", self.bands.outside), ("band_inside", self.bands.inside)):
+                if not np.isclose(largest, getattr(preset, name), rtol=1e-5, atol=0):
+                    raise InputError("bands", f"a largest width of {largest:g} m",
+                                     f"{getattr(preset, name):g} m, the preset's `{name}`")
         self.coordinates = Coordinates(preset, body, poses)
         self.field = Field(preset, poses.pose.shape[1])
 
     @property
     def band(self) -> float:
-        """The band's half width δ_N in metres."""
+        """The band's half width δ_N in metres; the largest where it varies."""
         return self.field.preset.band
+
+    def pose(self, vertices: mi.Float) -> PosedSurface:
+        """The surface and its band in one pose; `vertices` are flat (3·V), world, in metres."""
+        return PosedSurface(self.surface, vertices, self.band if self.bands is None else self.bands)
 
 
 class PosedModel:
@@ -82,6 +99,7 @@ class PosedModel:
         self._band = preset.band
         self._inside = preset.band_inside
         self._fade = preset.band_fade
+        self._varies = model.bands is not None
         self._occupancy = occupancy
         self._networks = networks
 
@@ -106,7 +124,7 @@ class PosedModel:
         with dr.suspend_grad():
             active = active & located.valid
             sigma = self.bound.density(self._coordinates(x, located, active), active)
-            return dr.select(active, sigma * self._fading(located.l), 0.0)
+            return dr.select(active, sigma * self._fading(located.l, located.band), 0.0)
 
     def evaluate(self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool) -> FieldSample:
         """Density and colour at located points, for evaluated code.
@@ -148,9 +166,10 @@ class PosedModel:
 
     def _located(self, found: Projection) -> Located:
         """A projection, attached; valid in the band."""
-        valid = found.valid & (found.l >= -self._inside)
+        valid = found.valid if self._varies else found.valid & (found.l >= -self._inside)
         weight = mi.Float(1.0)
-        return Located(found.triangle, found.uv, found.l, found.normal, found.barycentric, valid, weight)
+        return Located(found.triangle, found.uv, found.l, found.normal, found.barycentric, valid, weight,
+                       found.band)
 
     def _inputs(
         self, x: mi.Point3f, d: mi.Vector3f, located: Located, active: mi.Bool
@@ -163,14 +182,18 @@ class PosedModel:
     def _sample(self, sigma: mi.Float, colour: mi.Color3f, located: Located, active: mi.Bool) -> FieldSample:
         l = dr.select(active, located.l, 0.0)
         uv = dr.select(active, located.uv, 0.0)
-        sigma = dr.select(active, sigma * self._fading(l), 0.0)
-        return FieldSample(sigma, colour, mi.Point3f(uv.x, uv.y, l), located.normal)
+        # Also a divisor.
+        band = dr.select(active, located.band, 1.0) if self._varies else located.band
+        sigma = dr.select(active, sigma * self._fading(l, band), 0.0)
+        return FieldSample(sigma, colour, mi.Point3f(uv.x, uv.y, l), located.normal, dr.detach(band.x))
 
-    def _fading(self, l: mi.Float) -> mi.Float:
-        """Factor on the density that falls smoothly from 1 to 0 towards the band's edges."""
+    def _fading(self, l: mi.Float, band: mi.Point2f) -> mi.Float:
+        """Factor on the density that falls smoothly from 1 to 0 towards the band's edges; `band` are its
+        widths where they vary."""
         factor = mi.Float(1.0)
         if self._fade > 0:
-            for depth in ((self._band - l) / self._band, (self._inside + l) / self._inside):
+            outside, inside = band if self._varies else (self._band, self._inside)
+            for depth in ((outside - l) / outside, (inside + l) / inside):
                 s = dr.clip(depth / self._fade, 0.0, 1.0)
                 factor *= s * s * dr.fma(s, -2.0, 3.0)
         return factor

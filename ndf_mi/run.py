@@ -191,7 +191,7 @@ class Run:
             self._surfaces.move_to_end(row)
         else:
             vertices = _flat(self.poses.vertices[row])
-            self._surfaces[row] = PosedSurface(self.model.surface, vertices, self.model.band)
+            self._surfaces[row] = self.model.pose(vertices)
             if len(self._surfaces) > _CACHED_POSES:
                 self._surfaces.popitem(last=False)
         return self._surfaces[row]
@@ -219,7 +219,7 @@ class Run:
             vertices: (V, 3) of the posed body, world, in metres.
             pose: (J, 3) axis-angles of the joints relative to their parents, in radians, the root's zero.
         """
-        surface = PosedSurface(self.model.surface, _flat(vertices), self.model.band)
+        surface = self.model.pose(_flat(vertices))
         return PosedModel(self.model, self.parameters, surface, _flat(pose), networks=networks)
 
 

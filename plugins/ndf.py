@@ -12,7 +12,6 @@ from ndf_mi.deprecated import rename_parameter
 from ndf_mi.errors import InputError
 from ndf_mi.field import FieldParameters
 from ndf_mi.model import PosedModel
-from ndf_mi.projection import PosedSurface
 from ndf_mi.render import properties
 from ndf_mi.render.nested import Majorants
 from ndf_mi.render.sparse_grid import SparseGrid
@@ -158,7 +157,7 @@ def register() -> None:
         def _bind(self, moved: bool) -> None:
             model, parameters = self.run.model, FieldParameters(self.weights, self.grid)
             if moved:
-                self._surface = PosedSurface(model.surface, self.vertices, model.band)
+                self._surface = model.pose(self.vertices)
             self._model = PosedModel(model, parameters, self._surface, self.pose)
             self._model.bound.pack()
             # What paths meet: the field, or the grid that it is sampled on.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import drjit as dr
 import mitsuba as mi
@@ -22,6 +22,7 @@ class Located:
         barycentric: weights of the triangle's corners at the closest point; 0 if not used.
         valid: whether the field is to be evaluated here.
         weight: number of samples that this one stands for, where others were left out at random.
+        band: how far the band reaches outside and inside there, in metres; 0 if that is the same everywhere.
     """
 
     triangle: mi.UInt32
@@ -31,6 +32,7 @@ class Located:
     barycentric: mi.Point3f
     valid: mi.Bool
     weight: mi.Float
+    band: mi.Point2f = field(default_factory=lambda: dr.zeros(mi.Point2f))
 
     @classmethod
     def anywhere(cls, valid: mi.Bool) -> Located:
@@ -49,9 +51,11 @@ class FieldSample:
         colour: linear, in [0, 1].
         u: texture coordinates (u*, v*) and the signed distance l in metres.
         normal: unit normal of the surface at the closest point.
+        band: how far the band reaches outside there, in metres; 0 if that is the same everywhere.
     """
 
     sigma: mi.Float
     colour: mi.Color3f
     u: mi.Point3f
     normal: mi.Normal3f
+    band: mi.Float = field(default_factory=lambda: mi.Float(0))

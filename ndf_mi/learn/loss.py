@@ -37,17 +37,17 @@ class ImageLoss:
     Args:
         options: `opacity_weight` and `edge_weight` are used.
         background: sRGB.
-        band: the band's half width in metres.
+        band: the band's half width in metres; None where it varies.
         density_gain: of the preset; the unit of the edge term.
     """
 
-    def __init__(self, options: TrainingOptions, background: mi.Color3f, band: float,
+    def __init__(self, options: TrainingOptions, background: mi.Color3f, band: float | None,
                  density_gain: float) -> None:
         self._opacity_weight = options.opacity_weight
         self._edge_weight = options.edge_weight / density_gain
         self._background = srgb_to_linear(mi.Color3f(background))
         dr.make_opaque(self._background)
-        self._edge = 0.8 * band
+        self._edge = None if band is None else 0.8 * band
 
     def __call__(self, radiance: Radiance, target: mi.Color3f, mask: mi.Float, mask_valid: mi.Float,
                  in_box: mi.Float | None = None, edge_active: bool = False) -> Loss:
@@ -82,7 +82,8 @@ class ImageLoss:
         if self._opacity_weight > 0:
             total = total + self._opacity_weight * dr.mean(mask_valid * dr.square(radiance.opacity - mask))
         if self._edge_weight > 0:
-            at_edge = radiance.inside & (dr.abs(dr.detach(radiance.samples.u.z)) > self._edge)
+            edge = 0.8 * radiance.samples.band if self._edge is None else self._edge
+            at_edge = radiance.inside & (dr.abs(dr.detach(radiance.samples.u.z)) > edge)
             count = dr.maximum(dr.sum(dr.select(at_edge, mi.Float(1), 0.0)), 1.0)
             density = dr.sum(dr.select(at_edge, radiance.samples.sigma, 0.0)) / count
             # Opaque, so that switching the term on compiles nothing.

@@ -60,8 +60,8 @@ class QuadratureStep:
         self._run = run
         self._options = options
         self._occupancy = occupancy
-        self._loss = ImageLoss(options, mi.Color3f(*(float(v) for v in run.background)), preset.band,
-                               preset.density_gain)
+        self._loss = ImageLoss(options, mi.Color3f(*(float(v) for v in run.background)),
+                               preset.band if run.model.bands is None else None, preset.density_gain)
 
     def __call__(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Statistics]:
         radiance, posed = self._radiance(parameters, batch)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from ndf_mi.projection.bands import Bands
 from ndf_mi.projection.posed import PosedSurface, Projection
 from ndf_mi.projection.surface import Surface, aligned
 
-__all__ = ["PosedSurface", "Projection", "Surface", "aligned"]
+__all__ = ["Bands", "PosedSurface", "Projection", "Surface", "aligned"]

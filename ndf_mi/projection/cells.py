@@ -8,8 +8,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ndf_mi.projection.bands import Bands
 from ndf_mi.projection.refit import Frame
-from ndf_mi.projection.search import Boxes, closest_pair, pending
+from ndf_mi.projection.search import Boxes, any_within, closest_pair, pending
 
 BLOCK = 4
 """Cells along a block's side. Cells are numbered block by block, so that close numbers are close in space."""
@@ -19,7 +20,7 @@ SLACK = 0.2
 
 
 class Cells:
-    """Cells of about a quarter of the band over the box [low, high].
+    """Cells of about a quarter of the band over the box [low, high]; of its typical width, where it varies.
 
     Every cell that a point of the band can lie in stores a leaf that is almost the closest to its centre, and
     which parts of the tree can hold a closer one for any point of the cell
@@ -27,15 +28,18 @@ class Cells:
 
     Args:
         low, high: (3,) float64, the padded box of the band, metres.
-        band: δ, metres.
+        band: δ, metres; the largest where it varies.
         frame, boxes: the tree to search.
+        bands: None for a band of one width.
 
     Attributes:
         count: cells in the blocks that the band can touch; the box has at least one such block.
     """
 
-    def __init__(self, low: np.ndarray, high: np.ndarray, band: float, frame: Frame, boxes: Boxes) -> None:
-        side = max(0.3 * band, float((high - low).max()) / 256)
+    def __init__(self, low: np.ndarray, high: np.ndarray, band: float, frame: Frame, boxes: Boxes,
+                 bands: Bands | None = None) -> None:
+        self._bands = bands
+        side = max(0.3 * (band if bands is None else bands.typical), float((high - low).max()) / 256)
         blocks = np.ceil((high - low) / (BLOCK * side)).astype(np.int64)
         self._low = mi.Point3f(*(dr.opaque(mi.Float, float(c)) for c in low))
         self._per_metre = dr.opaque(mi.Float, 1 / side)
@@ -99,4 +103,8 @@ class Cells:
         leaf = dr.select(touched, found // 2, 0)
         bound = dr.minimum(dr.sqrt(best2) + corner, band_units)
         trail = pending(boxes, q, reach, leaf, bound)
+        if self._bands is not None:
+            begin = dr.select(touched, leaf + boxes.leaves, 0), dr.select(touched, trail, 0)
+            scale = frame.scale * (1 + 1e-3)
+            touched = any_within(boxes, q, self._bands.reach, scale, corner, *begin)
         return dr.select(touched, leaf + boxes.leaves, 0), dr.select(touched, trail, 0)

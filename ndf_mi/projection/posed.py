@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.errors import InputError
+from ndf_mi.projection.bands import Bands
 from ndf_mi.projection.cells import Cells
 from ndf_mi.projection.local import CORNER_0, CORNER_1, EDGE_0, EDGE_2, Local, closest_on_triangle, unit
 from ndf_mi.projection.refit import Frame, face_normals, refit, vertex_normals
@@ -36,7 +37,9 @@ class Projection:
         barycentric: weights of its corners, attached.
         point: the closest point, world, attached.
         normal: unit, detached; the face's, or the pseudonormal of the edge or corner that the point lies on.
-        valid: whether the lane is active and |l| <= band.
+        valid: whether the lane is active and in the band: |l| <= band, or, where the band's width varies,
+            −inside <= l <= outside.
+        band: how far the band reaches outside and inside there, metres, attached; 0 for a band of one width.
     """
 
     uv: mi.Point2f
@@ -46,6 +49,7 @@ class Projection:
     point: mi.Point3f
     normal: mi.Normal3f
     valid: mi.Bool
+    band: mi.Point2f
 
 
 class PosedSurface:
@@ -53,10 +57,12 @@ class PosedSurface:
 
     Args:
         vertices: flat (3·V), world, metres; may carry gradients.
-        band: δ > 0, metres: nothing farther from the surface than this is searched.
+        band: δ > 0, metres: nothing farther from the surface than this is searched. Or a width for every
+            place.
 
     Attributes:
-        bbox: world box, slightly padded, of every point whose distance is at most the band.
+        band: δ; the largest width where it varies.
+        bbox: world box, slightly padded, of every point of the band.
 
     Raises:
         InputError: the number of vertices differs, one is not finite, or the band is not positive.
@@ -65,7 +71,10 @@ class PosedSurface:
     memory. No size that differs between poses enters a kernel as a constant.
     """
 
-    def __init__(self, surface: Surface, vertices: mi.Float, band: float) -> None:
+    def __init__(self, surface: Surface, vertices: mi.Float, band: float | Bands) -> None:
+        self._bands = band if isinstance(band, Bands) else None
+        if isinstance(band, Bands):
+            band = max(band.outside, band.inside)
         if not band > 0:
             raise InputError("band", f"{band}", "a distance above 0, in metres")
         if dr.width(vertices) != 3 * surface.vertex_count:
@@ -80,24 +89,31 @@ class PosedSurface:
                 raise InputError("vertices", "NaN or infinity", "finite coordinates, in metres")
             low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
             pad = self.band + 1e-3 * self.band + 1e-6 * float(np.abs(positions).max())
+            around = low - pad, high + pad
+            if self._bands is not None:
+                # The band of a triangle lies in the hull of the balls around its corners, as widths are
+                # linear.
+                wide = self._bands.largest[:, None].astype(np.float64)
+                around = ((positions - wide).min(0) - (pad - self.band),
+                          (positions + wide).max(0) + (pad - self.band))
             # Opaque, or another band would mean another kernel.
             self._delta = dr.opaque(mi.Float, self.band)
-            corners = (mi.Point3f(*corner.tolist()) for corner in (low - pad, high + pad))
+            corners = (mi.Point3f(*corner.tolist()) for corner in around)
             self.bbox = mi.BoundingBox3f(*corners)
             self._frame = Frame(low, high, self.band)
             self._boxes = refit(surface, detached, self._frame)
             self._face_normals = face_normals(surface, detached)
             self._vertex_normals = vertex_normals(surface, detached, self._face_normals)
-            self._cells = Cells(low - pad, high + pad, self.band, self._frame, self._boxes)
+            self._cells = Cells(*around, self.band, self._frame, self._boxes, self._bands)
 
     def may_contain(self, x: mi.Point3f) -> mi.Bool:
-        """False only where |l| > band for certain; reads one cell of a grid."""
+        """False only off the band for certain; reads one cell of a grid."""
         with dr.suspend_grad():
             return self._cells.may_contain(mi.Point3f(dr.detach(x)))
 
     def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> tuple[mi.UInt32, mi.Bool]:
         """The closest triangle's number and whether there is one, detached; 0 in lanes that are inactive or
-        off the band."""
+        farther off than the band's largest width."""
         with dr.suspend_grad():
             x = mi.Point3f(dr.detach(x))
             cell, inside = self._cells.locate(x)
@@ -115,7 +131,7 @@ class PosedSurface:
         return self.project_onto(triangle, x, found)
 
     def project_onto(self, triangle: mi.UInt32, x: mi.Point3f, active: mi.Bool | bool = True) -> Projection:
-        """Projects ``x`` onto a given triangle; ``valid`` where active and |l| <= band."""
+        """Projects ``x`` onto a given triangle; ``valid`` where active and in the band."""
         surface = self.surface
         active = mi.Bool(active)
         corner = [dr.gather(mi.UInt32, surface.faces, 3 * triangle + k, active) for k in range(3)]
@@ -134,8 +150,12 @@ class PosedSurface:
         for k in range(3):
             corner_uv = dr.gather(mi.Point2f, surface.corner_uv, 3 * triangle + k, active)
             uv = uv + mi.Point2f(corner_uv) * weights[k]
-        valid = active & (dr.abs(l_value) <= self._delta)
-        return Projection(uv, l, triangle, weights, x - local.offset, mi.Normal3f(normal), valid)
+        if self._bands is None:
+            band, valid = dr.zeros(mi.Point2f), active & (dr.abs(l_value) <= self._delta)
+        else:
+            band = self._bands.at(corner, weights, active)
+            valid = active & (l_value <= dr.detach(band.x)) & (l_value >= -dr.detach(band.y))
+        return Projection(uv, l, triangle, weights, x - local.offset, mi.Normal3f(normal), valid, band)
 
     def _sign(
         self, triangle: mi.UInt32, corner: list[mi.UInt32], local: Local, active: mi.Bool
@@ -162,7 +182,7 @@ class PosedSurface:
         return normal, sign * distance, slope
 
     def _search(self, x: mi.Point3f, cell: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """Number 2 · leaf + (0 or 1) of the closest triangle in the band, 2 · leaves where there is none."""
+        """Number 2 · leaf + (0 or 1) of the closest triangle within δ, 2 · leaves where there is none."""
         bound = dr.square(self._delta * (1 + 1e-4) * self._frame.scale)
         node, trail = self._cells.start(cell, active)
         return closest_pair(self._boxes, self._frame.to_units(x), bound, node, trail)[1]

@@ -162,6 +162,48 @@ def closest_pair(
     return best, found
 
 
+def any_within(
+    boxes: Boxes, q: mi.Point3f, reach: mi.Float, scale: mi.Float, extra: mi.Float, node: mi.UInt32,
+    trail: mi.UInt32,
+) -> mi.Bool:
+    """Whether some triangle is within the distance that its own leaf allows.
+
+    Args:
+        reach: for each node, the largest distance that a leaf below it allows.
+        scale: factor on `reach`.
+        extra: added to all distances.
+        node, trail: where to begin, as in :func:`closest_pair`.
+    """
+    leaves = boxes.leaves
+
+    def limit2(node: mi.UInt32) -> mi.Float:
+        return dr.square(dr.fma(dr.gather(mi.Float, reach, node), scale, extra))
+
+    def leaf(node: mi.UInt32, trail: mi.UInt32, found: mi.Bool) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
+        corners = [value for k in range(3) for value in _read4(boxes.corners, (node - leaves) * 3 + k)]
+        within = smaller(*pair_distance2(corners, q)) <= limit2(node)
+        node, trail = _pop(node, trail)
+        return dr.select(within, 0, node), trail, found | within
+
+    def step(node: mi.UInt32, trail: mi.UInt32, found: mi.Bool) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
+        node, trail, found = dr.if_stmt(
+            (node, trail, found), node >= leaves, leaf, lambda *state: state, label="any within: leaf"
+        )
+        inner = (node != 0) & (node < leaves)
+        parent = dr.select(inner, node, 1)
+        left, right = (box_distance2(words, q) for words in boxes.children(parent))
+        to_left, to_right = left <= limit2(2 * parent), right <= limit2(2 * parent + 1)
+        hit, both = inner & (to_left | to_right), to_left & to_right
+        below = 2 * node + dr.select(to_right & (~to_left | (right < left)), 1, 0)
+        popped = _pop(node, trail)
+        miss = inner & ~hit
+        node, trail = dr.select(hit, below, node), dr.select(hit, 2 * trail + dr.select(both, 1, 0), trail)
+        return dr.select(miss, popped[0], node), dr.select(miss, popped[1], trail), found
+
+    state = (node, trail, dr.full(mi.Bool, False, dr.width(node)))
+    return dr.while_loop(state, lambda node, *_: node != 0, step, label="any within")[2]
+
+
 def pending(boxes: Boxes, q: mi.Point3f, reach: mi.Float, leaf: mi.UInt32, bound: mi.Float) -> mi.UInt32:
     """The trail with which every search from the cube of half side ``reach`` about ``q`` can begin at
     ``leaf``: bit i is set where the sibling of the leaf's ancestor i levels up is within ``bound``."""
