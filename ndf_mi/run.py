@@ -224,7 +224,7 @@ class Run:
 
 
 def _model(body: Body, poses: Poses, preset: Preset, tensors: Mapping[str, np.ndarray]) -> Model:
-    return Model(body, poses, preset)
+    return Model(body, poses, preset, tensors.get("bands"))
 
 
 def _flat(values: np.ndarray) -> mi.Float:

@@ -31,6 +31,14 @@ if TYPE_CHECKING:
 RADIUS = 0.3
 
 
+def uneven(outside: float = 0.08, inside: float = 0.03, least: float = 0.25) -> np.ndarray:
+    """(V, 2) float32 widths of a band around the ball, in metres: the largest at x = `RADIUS`, that times
+    `least` at the other end, linear in x between them."""
+    x = ball(1)[0].template[:, 0].astype(np.float64) / RADIUS
+    share = least + (1 - least) * (x - x.min()) / np.ptp(x)
+    return (share[:, None] * [outside, inside]).astype(np.float32)
+
+
 def ball(frames: int = 3) -> tuple[Body, Poses]:
     """A closed ball of radius 0.3 m around the origin with two joints, moved 5 cm a frame along x."""
     import trimesh
@@ -68,14 +76,17 @@ def _deprecations_warn_again() -> None:
 
 @pytest.fixture
 def make_run(tmp_path: Path) -> Callable[..., Run]:
-    """Makes and saves an untrained run around the ball: the preset `tiny` with changes."""
+    """Makes and saves an untrained run around the ball: the preset `tiny` with changes, with widths of the
+    band at each vertex if there are any."""
     from ndf_mi.field import preset
     from ndf_mi.run import Run
 
-    def make(name: str = "run", seed: int = 1, frames: int = 3, **changes: Any) -> Run:
+    def make(name: str = "run", seed: int = 1, frames: int = 3, bands: np.ndarray | None = None,
+             **changes: Any) -> Run:
         body, poses = ball(frames)
         changed = dataclasses.replace(preset("tiny"), **changes)
-        run = Run.create(tmp_path / name, changed, body, poses, seed, background=[0.0, 0.0, 0.0])
+        tensors = {} if bands is None else {"bands": bands}
+        run = Run.create(tmp_path / name, changed, body, poses, seed, tensors, background=[0.0, 0.0, 0.0])
         run.save()
         return run
 
@@ -91,9 +102,8 @@ def make_constant_run(make_run: Callable[..., Run]) -> Callable[..., Run]:
         sigma: float, srgb: tuple[float, float, float] = (0.5, 0.5, 0.5), name: str = "run", **changes: Any
     ) -> Run:
         # The majorant follows the limit: null collisions cost time.
-        run = make_run(
-            name, band=0.08, band_inside=0.08, band_fade=0.0, **{"density_limit": 2 * sigma, **changes}
-        )
+        constant = {"band": 0.08, "band_inside": 0.08, "band_fade": 0.0, "density_limit": 2 * sigma}
+        run = make_run(name, **{**constant, **changes})
         field = run.model.field
         weights = run.parameters.weights.numpy()
         p = field.preset

@@ -5,17 +5,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from conftest import RADIUS, uneven
 
 from ndf_mi import variants
 from ndf_mi.errors import InputError
 from ndf_mi.model import PosedModel, networks_here
-from ndf_mi.projection import PosedSurface
 from ndf_mi.render.quadrature import quadrature
 
 
-@pytest.fixture
-def run(make_run):
-    run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16)
+@pytest.fixture(params=[False, True], ids=["one width", "uneven"])
+def run(make_run, request):
+    run = make_run(seed=3, density_bias=1.0, density_gain=10.0, grid_finest=16,
+                   bands=uneven() if request.param else None)
     run.parameters = run.parameters.replace(grid=run.parameters.grid * 5e3)
     return run
 
@@ -38,7 +39,7 @@ def test_gradients_reach_the_vertices(run, trial):
     def render(vertices):
         flat = mi.Float(vertices.astype(np.float32).ravel())
         dr.enable_grad(flat)
-        surface = PosedSurface(run.model.surface, flat, run.model.band)
+        surface = run.model.pose(flat)
         seen = quadrature(PosedModel(run.model, run.parameters, surface, run.pose_vector(0)), ray, 1024)
         return seen.colour.x + seen.colour.y + 0.3 * seen.opacity, flat
 
@@ -131,3 +132,41 @@ def test_lanes_without_a_meaning_do_not_poison_gradients(run):
         dr.backward(dr.sum(dr.select(mi.Bool(active), sample.sigma + sample.colour.x, 0)))
         gradient = dr.grad(weights).numpy()
         assert np.isfinite(gradient).all() and np.abs(gradient).max() > 0
+
+
+def test_the_density_ends_where_the_band_of_its_place_does(make_constant_run):
+    """Along rays from the ball's centre: constant within the band, a smooth fall over the local widths."""
+    rng = np.random.default_rng(2)
+    d = rng.normal(size=(3, 4000))
+    d /= np.linalg.norm(d, axis=0)
+    l = rng.uniform(-0.1, 0.1, 4000)
+    x = mi.Point3f((d * (RADIUS + l)).astype(np.float32))
+    outside = 0.08 * (0.25 + 0.75 * (d[0] + 1) / 2)
+    depth = np.minimum((outside - l) / outside, (0.5 * outside + l) / (0.5 * outside))
+    for fade in (0.0, 0.4):
+        run = make_constant_run(2.0, bands=uneven(0.08, 0.04), band_inside=0.04, band_fade=fade)
+        posed = run.posed(0)
+        posed.bound.pack()
+        sigma = posed.fused(x, mi.Vector3f(0, 0, 1)).sigma.numpy()
+        s = np.clip(depth / fade, 0, 1) if fade else (depth > 0).astype(float)
+        # The ball is made of triangles, up to 2 mm inside of the sphere.
+        clear = (np.abs(depth) > 0.1) if not fade else np.full(4000, True)
+        np.testing.assert_allclose(sigma[clear], (2 * s * s * (3 - 2 * s))[clear], atol=0.7 if fade else 2e-2)
+        assert np.abs(sigma - 2 * s * s * (3 - 2 * s)).mean() < 0.05
+
+
+def test_a_constant_width_renders_as_a_band_of_one_width(make_run):
+    ray, _ = rays(2000)
+    seen = []
+    for bands in (None, np.full((642, 2), [0.08, 0.03], np.float32)):
+        run = make_run(seed=3, density_bias=1.0, density_gain=10.0, bands=bands)
+        seen.append(quadrature(run.posed(0), ray, 64))
+    np.testing.assert_allclose(seen[0].colour.numpy(), seen[1].colour.numpy(), atol=1e-6)
+    assert seen[0].evaluated == seen[1].evaluated
+
+
+def test_bands_wider_than_the_preset_are_refused(make_run):
+    with pytest.raises(InputError, match=r"largest width of 0\.09 m.*`band`"):
+        make_run(bands=uneven(0.09))
+    with pytest.raises(InputError, match=r"`band_inside`"):
+        make_run(bands=uneven(inside=0.02))
