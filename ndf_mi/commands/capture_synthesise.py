@@ -29,8 +29,17 @@ class CaptureSynthesise:
     """Training motion. clips: walking and climbing; turn: one pose that turns around once; still: one
     pose.
     """
-    clothes: Literal["loose", "tight"] = "loose"
-    """loose: clothes are centimetres away from the body; tight: within 12 mm, and without hair."""
+    clothes: Literal["loose", "tight", "coat", "skirt"] = "loose"
+    """loose: clothes are centimetres away from the body; tight: within 12 mm; coat: an open coat to the
+    calves over loose trousers; skirt: a wide skirt to the calves. The hems of coat and skirt are 15 cm and
+    more away from the standing body.
+    """
+    hair: Literal["bob", "big", "hat", "none"] | None = None
+    """bob: to the chin; big: curls, 15 to 20 cm away from the head; hat: a wide brim over a bob; none. By
+    default bob, and none with tight clothes.
+    """
+    bag: bool = False
+    """A rucksack on the back, 20 cm deep."""
     folds: bool = True
     """Whether cloth folds with the pose."""
     surface: Literal["mixed", "matte", "glossy"] = "mixed"
@@ -72,7 +81,7 @@ class CaptureSynthesise:
         from ndf_mi.capture.synthesise.synthesise import synthesise
         from ndf_mi.commands.progress import image_bar
 
-        look = plan.Look(self.motion, self.clothes, self.folds, self.surface)
+        look = plan.Look(self.motion, self.clothes, self.folds, self.surface, self.hair, self.bag)
         with image_bar() as show:
             synthesise(self.out, settings, self.name, self.overwrite, show, self.light, look)
         print(f"{self.out}: {settings.pixels} pixels, {settings.cameras} cameras")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,12 @@ class Folds:
         self._systems = systems
         pairs = [(s.envelope * np.sin(s.phase), s.envelope * np.cos(s.phase)) for s in systems]
         self.fields = np.stack([field for pair in pairs for field in pair], axis=1)
+
+    def mapped(self, matrix: csr_matrix) -> Folds:
+        """The same folds at other points, whose attributes are ``matrix``, (M, N), times those of these."""
+        folds = Folds(self._systems)
+        folds.fields = matrix @ self.fields
+        return folds
 
     def coefficients(self, pose: dict[str, np.ndarray]) -> np.ndarray:
         """(K,) amplitudes at a pose, given as axis-angle (3,) by joint name."""

@@ -6,31 +6,29 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from ndf_mi.capture.synthesise import paint
+from ndf_mi.capture.synthesise.grid import grid_faces
 from ndf_mi.capture.synthesise.layers import Layer, Sheet, rise, waves
 
 _AROUND, _OVER, _DOWN = 144, 36, 22
 #: Heights above the eyes in metres: where hair leaves the head, the end of the fringe, the other tips.
 _SCALP, _FRINGE, _TIPS = -0.02, 0.034, -0.095
+#: The point within the head from which hair grows, from the middle of the eyes, metres.
+CROWN = np.array([0, 0.03, -0.085])
 
 
 def make_hair(naked: Sheet, eyes: np.ndarray, head: int) -> Layer:
     """Hair on the body ``naked``, with eyes at (2, 3) ``eyes``, carried by the joint of index ``head``."""
     middle = eyes.mean(axis=0)
-    crown = middle + [0, 0.03, -0.085]
-    skull = naked.rest[(naked.rest[:, 1] > middle[1] + _SCALP) & (np.abs(naked.rest[:, 0]) < 0.15)]
-    planes = ConvexHull(skull - crown).equations
+    crown = middle + CROWN
 
     phi = np.arange(_AROUND) / _AROUND * 2 * np.pi
     elevation = np.pi / 2 * (1 - (np.arange(_OVER) + 0.35) / _OVER)
     phi_grid, up = np.meshgrid(phi, elevation)
     direction = np.stack([np.sin(phi_grid) * np.cos(up), np.sin(up), np.cos(phi_grid) * np.cos(up)], axis=-1)
-    facing = direction @ planes[:, :3].T
-    with np.errstate(divide="ignore"):
-        radius = np.where(facing > 1e-6, -planes[:, 3] / facing, np.inf).min(axis=-1)
-    over = direction * radius[..., None]
+    over = direction * skull_radius(naked, middle, crown, direction)[..., None]
     fall = np.linspace(0, 1, _DOWN + 1)[1:, None, None] * [0, _TIPS - 0.03 - (crown - middle)[1], 0]
     rest = np.concatenate([over, over[-1] + fall]).reshape(-1, 3) + crown
-    sheet = Sheet(rest, np.eye(1), np.zeros((len(rest), 2)), _grid_faces(_OVER + _DOWN, _AROUND))
+    sheet = Sheet(rest, np.eye(1), np.zeros((len(rest), 2)), grid_faces(_OVER + _DOWN, _AROUND))
 
     around = np.tile(phi, _OVER + _DOWN)
     away = np.abs((around + np.pi) % (2 * np.pi) - np.pi)
@@ -47,11 +45,11 @@ def make_hair(naked: Sheet, eyes: np.ndarray, head: int) -> Layer:
     return Layer("hair", "hair", sheet.faces, sheet.rest, weights, paint.hair(sheet.rest, crown))
 
 
-def _grid_faces(rows: int, columns: int) -> np.ndarray:
-    """Outward triangles of a grid that is closed around, from the crown down, with a fan on top."""
-    a = np.arange(rows - 1)[:, None] * columns + np.arange(columns)
-    b = np.arange(rows - 1)[:, None] * columns + (np.arange(columns) + 1) % columns
-    quads = np.concatenate([np.stack([a, a + columns, b], axis=-1),
-                            np.stack([b, a + columns, b + columns], axis=-1)])
-    ring = np.arange(1, columns - 1)
-    return np.concatenate([quads.reshape(-1, 3), np.stack([0 * ring, ring, ring + 1], axis=-1)])
+def skull_radius(naked: Sheet, eyes: np.ndarray, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """(…) metres from ``origin``, (3,), in unit ``directions``, (…, 3), to the convex hull of the head of the
+    body ``naked`` above the middle of the ``eyes``, (3,)."""
+    skull = naked.rest[(naked.rest[:, 1] > eyes[1] + _SCALP) & (np.abs(naked.rest[:, 0]) < 0.15)]
+    planes = ConvexHull(skull - origin).equations
+    facing = directions @ planes[:, :3].T
+    with np.errstate(divide="ignore"):
+        return np.where(facing > 1e-6, -planes[:, 3] / facing, np.inf).min(axis=-1)

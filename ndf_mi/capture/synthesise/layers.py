@@ -9,6 +9,7 @@ from scipy.sparse import csr_matrix
 
 from ndf_mi.body.body import Body
 from ndf_mi.body.mesh import vertex_normals
+from ndf_mi.capture.synthesise.drape import Drape
 from ndf_mi.capture.synthesise.folds import Folds
 from ndf_mi.capture.synthesise.surface import averaging, clip, loop_subdivision
 
@@ -27,6 +28,7 @@ class Layer:
         clearance: least distance of every vertex from the body, metres; None if it may touch the body.
         slack: (N,) metres by which folding cloth sinks where it hangs from a limb that is not vertical.
         folds: its wrinkles, displacements along the normal, or None.
+        drape: how it hangs from its first vertices, one a column of the drape; without one, it is skinned.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Layer:
     clearance: float | None = None
     slack: np.ndarray | float = 0.0
     folds: Folds | None = None
+    drape: Drape | None = None
 
 
 @dataclass(frozen=True)

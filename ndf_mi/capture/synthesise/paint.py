@@ -108,3 +108,109 @@ def eye(directions: np.ndarray) -> np.ndarray:
     colour = np.tile(tone(235, 230, 225), (len(directions), 1))
     colour = over(colour, tone(70, 100, 90), rise(angle, 0.52, 0.46))
     return over(colour, tone(8, 8, 8), rise(angle, 0.26, 0.20))
+
+
+def curls(direction: np.ndarray) -> np.ndarray:
+    """Curly hair with lighter tips, and a bright band around the head, by unit directions (N, 3)."""
+    colour = np.tile(tone(52, 30, 20), (len(direction), 1))
+    colour = over(colour, tone(150, 84, 44), (0.3 + 0.34 * waves(direction, 0.16, 83)).clip(0, 1))
+    colour = over(colour, tone(24, 14, 12), (0.5 * waves(direction, 0.11, 84)).clip(0, 0.8))
+    height = direction @ np.array([0, 0.94, -0.34])
+    colour = over(colour, tone(216, 168, 40), rise(np.abs(height - 0.42), 0.075, 0.065))
+    return over(colour, tone(40, 96, 104), rise(np.abs(height - 0.42), 0.030, 0.022)).clip(0.01, 0.95)
+
+
+def hat(around: np.ndarray, brim: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Straw in rings with a striped ribbon, by angle, share of the brim's width and metres above the brim."""
+    woven = 0.5 + 0.5 * np.sin(60 * around) * np.sin(2 * np.pi * (brim * 9 + height / 0.018))
+    colour = over(np.tile(tone(206, 176, 116), (len(around), 1)), tone(142, 106, 58), 0.7 * woven)
+    colour = over(colour, tone(122, 62, 40), 0.85 * stripe(3 * brim, 0.2) * (brim > 0.1))
+    ribbon = rise(height, 0.058, 0.053) * (brim == 0)
+    colour = over(colour, tone(34, 52, 96), ribbon)
+    return over(colour, tone(226, 220, 206), ribbon * rise(np.abs(height - 0.030), 0.011, 0.007))
+
+
+def _wool(across: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Herringbone under a window check, by numbers of checks ``across`` and ``along``."""
+    zigzag = np.abs((4 * across) % 1 - 0.5) * 1.6
+    colour = np.tile(tone(172, 132, 88), (len(across), 1))
+    colour = over(colour, tone(112, 80, 54), 0.6 * stripe(3 * along + zigzag, 0.42))
+    for turns in (across, along):
+        colour = over(colour, tone(44, 56, 60), 0.75 * stripe(turns, 0.12))
+        colour = over(colour, tone(178, 74, 48), 0.65 * stripe(turns + 0.5, 0.07))
+    return colour
+
+
+def coat_top(frame: Frame, rest: np.ndarray) -> np.ndarray:
+    """Checked wool with lapels, two rows of buttons and dark cuffs."""
+    sleeve = frame.arm > 0.5
+    across = np.where(sleeve, 4 * frame.arm_phi / (2 * np.pi), 10 * frame.trunk_phi / (2 * np.pi))
+    colour = _wool(across, np.where(sleeve, frame.arm_s / 0.1, rest[:, 1] / 0.1))
+    front = ((frame.z > 0.02) & ~sleeve).astype(float)
+    lapel = rise(np.abs(frame.x) - 0.34 * (frame.y - 1.12), 0.004, -0.004) * (frame.y > 1.12)
+    colour = over(colour, tone(58, 42, 36), front * lapel)
+    colour = over(colour, tone(30, 24, 22), front * rise(np.abs(frame.x), 0.010, 0.005))
+    row = (np.abs(frame.x) - 0.055) ** 2 + ((rest[:, 1] + 0.01) % 0.1 - 0.05) ** 2 < 0.012**2
+    return over(colour, tone(222, 190, 120), front * row * (frame.y < 1.16))
+
+
+def coat_tail(around: np.ndarray, along: np.ndarray, length: float, rim: np.ndarray) -> np.ndarray:
+    """The wool below a belt with a buckle line, slanted pockets, and borders at the hem and at the opening,
+    ``rim`` radians away."""
+    colour = _wool(10 * around / (2 * np.pi), along / 0.1)
+    side = np.abs(np.abs((around + np.pi) % (2 * np.pi) - np.pi) - 1.15 + 0.9 * (along - 0.22))
+    pocket = rise(side, 0.11, 0.09) * rise(np.abs(along - 0.22), 0.085, 0.078)
+    colour = over(colour, tone(70, 50, 42), pocket)
+    colour = over(colour, tone(222, 190, 120), pocket * stripe(along / 0.03, 0.25) * rise(side, 0.03, 0.02))
+    colour = over(colour, tone(60, 22, 30), rise(length - along, 0.034, 0.026))
+    colour = over(colour, tone(60, 22, 30), rise(rim * (0.18 + 0.35 * along), 0.030, 0.022))
+    belt = rise(along, 0.085, 0.078)
+    colour = over(colour, tone(42, 30, 26), belt)
+    stitches = stripe(along / 0.062 - 0.35, 0.1) * stripe(60 * around / (2 * np.pi), 0.5)
+    return over(colour, tone(216, 196, 150), belt * stitches)
+
+
+def skirt(around: np.ndarray, along: np.ndarray, length: float) -> np.ndarray:
+    """Panels of two colours with dots, stripes of trim above the hem, and a waistband."""
+    panel = rise(np.sin(6 * around), -0.06, 0.06)
+    colour = over(np.tile(tone(150, 40, 72), (len(around), 1)), tone(38, 92, 104), panel)
+    row = along / 0.062
+    column = 36 * around / (2 * np.pi) + 0.5 * (np.floor(row) % 2)
+    dots = ((column % 1 - 0.5) / 0.30) ** 2 + ((row % 1 - 0.5) / 0.30) ** 2 < 1
+    colour = over(colour, tone(236, 214, 168), 0.85 * (dots & (along < length - 0.17)))
+    colour = over(colour, tone(22, 20, 34), 0.8 * stripe(6 * around / np.pi, 0.05))
+    hem = length - along
+    trims = ((0.15, tone(236, 190, 70)), (0.09, tone(240, 236, 226)), (0.02, tone(24, 22, 40)))
+    for height, trim in trims:
+        colour = over(colour, trim, rise(np.abs(hem - height), 0.020, 0.014))
+    sideways = np.abs((40 * around / (2 * np.pi)) % 1 - 0.5) / 0.4
+    diamonds = rise(np.abs(hem - 0.055) / 0.02 + sideways, 1.1, 0.9)
+    colour = over(colour, tone(240, 236, 226), diamonds)
+    return over(colour, tone(24, 22, 40), rise(along, 0.045, 0.038))
+
+
+def straps(frame: Frame, edge: np.ndarray) -> np.ndarray:
+    """Webbing with stitched borders, ``edge`` metres from the rim, and buckles on the chest."""
+    colour = np.tile(tone(38, 40, 44), (len(edge), 1))
+    colour = over(colour, tone(232, 150, 50), rise(np.abs(edge - 0.006), 0.004, 0.002))
+    return over(colour, tone(200, 204, 210), rise(np.abs(frame.y - 1.25), 0.018, 0.013) * (frame.z > 0))
+
+
+def bag(at: np.ndarray, pocket: np.ndarray, behind: np.ndarray) -> np.ndarray:
+    """Canvas with a flap, a pocket, two leather straps with buckles and piping, by metres from the middle."""
+    x, y = at[:, 0], at[:, 1]
+    mottled = (1 + 0.10 * waves(at, 0.05, 92))[:, None]
+    colour = np.tile(tone(54, 92, 74), (len(at), 1)) * mottled
+    flap = rise(y - 0.045 - 0.02 * np.cos(x / 0.05), -0.004, 0.004)
+    colour = over(colour, tone(170, 92, 42) * mottled, flap)
+    piping = rise(np.abs(y - 0.060 - 0.02 * np.cos(x / 0.05)), 0.006, 0.003)
+    colour = over(colour, tone(232, 210, 150), piping)
+    checks = stripe(x / 0.034, 0.3) + stripe(y / 0.034, 0.3)
+    colour = over(colour, tone(212, 196, 92), 0.55 * checks.clip(0, 1) * pocket)
+    colour = over(colour, tone(30, 34, 34), rise(np.abs(pocket - 0.5), 0.42, 0.3) * behind)
+    leather = rise(np.abs(np.abs(x) - 0.065), 0.013, 0.010) * behind * (y > -0.06) * (y < 0.19)
+    colour = over(colour, tone(62, 36, 24), leather)
+    buckle = rise(np.hypot(np.abs(x) - 0.065, y + 0.03), 0.022, 0.017) * behind
+    colour = over(colour, tone(214, 208, 190), buckle)
+    side = rise(np.abs(x), 0.150, 0.153)
+    return over(colour, tone(200, 120, 40), 0.7 * side * stripe(y / 0.05, 0.3))

@@ -1,4 +1,4 @@
-"""Poses the dressed performer: skins, folds and lowers the clothes, and pushes them out of the body."""
+"""Poses the dressed performer: skins or drapes the clothes, folds them, and pushes them out of the body."""
 
 from __future__ import annotations
 
@@ -27,10 +27,13 @@ class Performer:
     """
 
     def __init__(self, body: Body, shape: np.ndarray, look: Look = Look()) -> None:  # noqa: B008
+        assert body.joints is not None and body.joint_dirs is not None
         self.body = body
         self.shape = np.asarray(shape, dtype=np.float32)
         self.layers: list[Layer] = dress(body, self.shape, look)
         self._skinned = [SkinnedVertices(layer.rest, layer.weights) for layer in self.layers]
+        at = body.joints + body.joint_dirs @ self.shape
+        self._joints = SkinnedVertices(at, np.eye(len(at)))
         self._mean = [averaging(layer.faces, len(layer.rest)) for layer in self.layers]
 
     def pose(
@@ -46,10 +49,13 @@ class Performer:
         transforms = joint_transforms(self.body, pose, root_rotation, translation, self.shape)
         by_name = dict(zip(self.body.joint_names, pose.astype(np.float64), strict=True))
         down = -Rotation.from_rotvec(root_rotation).as_matrix()[:, 1]
+        joints = np.array(self._joints.apply(transforms), dtype=np.float64).reshape(-1, 3)
         keep_out = _Outside(naked.astype(np.float64), self.body.faces)
         posed = []
         for layer, skinned, mean in zip(self.layers, self._skinned, self._mean, strict=True):
             vertices = np.array(skinned.apply(transforms), dtype=np.float64).reshape(-1, 3)
+            if layer.drape is not None:
+                vertices = layer.drape(vertices[: len(layer.drape.phi)], joints)
             if layer.folds is not None:
                 normals = vertex_normals(vertices, layer.faces)
                 # Cloth on or below a limb hangs, then folds.

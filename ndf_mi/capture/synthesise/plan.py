@@ -69,7 +69,8 @@ class Settings:
 
 CHOICES = {
     "motion": ("clips", "turn", "still"),
-    "clothes": ("loose", "tight"),
+    "clothes": ("loose", "tight", "coat", "skirt"),
+    "hair": ("bob", "big", "hat", "none"),
     "surface": ("mixed", "matte", "glossy"),
 }
 
@@ -81,23 +82,40 @@ class Look:
     Attributes:
         motion: in the training frames. `clips`: walking and climbing; `turn`: one pose that turns once around
             the vertical; `still`: one pose.
-        clothes: `loose` clothes are centimetres away from the body; `tight` ones are within 12 mm, without
-            hair.
+        clothes: `loose` clothes are centimetres away from the body; `tight` ones are within 12 mm; `coat` is
+            an open coat over loose trousers, `skirt` a wide skirt below a shirt, both to the calves, with the
+            hem at least 15 cm from the standing body.
         folds: whether cloth folds with the pose.
         surface: `mixed`: diffuse cloth with glossy skin, hair and shoes; `matte`: everything is diffuse;
             `glossy`: everything is glossy.
+        hair: `bob`, to the chin; `big`, curls, 15 to 20 cm from the head; `hat`, with a wide brim over the
+            bob; `none`; or None for a bob, and none with tight clothes.
+        bag: whether there is a rucksack on the back, 20 cm deep.
     """
 
     motion: str = "clips"
     clothes: str = "loose"
     folds: bool = True
     surface: str = "mixed"
+    hair: str | None = None
+    bag: bool = False
 
     def __post_init__(self) -> None:
         """Raises InputError at the first unknown choice."""
         for name, known in CHOICES.items():
-            if getattr(self, name) not in known:
+            value = getattr(self, name)
+            if value not in known and not (name == "hair" and value is None):
                 raise InputError(f"--{name}", repr(getattr(self, name)), f"one of {', '.join(known)}")
+
+    @property
+    def worn_hair(self) -> str:
+        """The hair, where the default depends on the clothes."""
+        return self.hair or ("none" if self.clothes == "tight" else "bob")
+
+    @property
+    def wide(self) -> bool:
+        """Whether something is farther from the body than loose clothes and a bob, 7 cm."""
+        return self.clothes in ("coat", "skirt") or self.hair in ("big", "hat") or self.bag
 
     def changes(self) -> dict[str, Any]:
         """The choices that differ from the default, by name."""

@@ -17,16 +17,21 @@ _CLOTHES = 0.07
 _FREE = 0.04
 
 
-def camera_ring(count: int, pixels: int, vertices: np.ndarray, seed: int) -> dict[str, Camera]:
+def camera_ring(
+    count: int, pixels: int, vertices: np.ndarray, seed: int, worn: np.ndarray | None = None
+) -> dict[str, Camera]:
     """``count`` cameras, evenly around the y axis, that always see the whole performer.
 
     Heights, distances and aims vary a little with ``seed``. Each camera has the largest focal length at which
-    the clothed body, around its posed ``vertices``, (T, V, 3) metres, stays in the image.
+    the clothed body, around its posed ``vertices``, (T, V, 3) metres, stays in the image, and so do the
+    points ``worn``, (N, 3), of wide clothes.
     """
     random = np.random.default_rng(seed)
     # Some vertices, moved by the thickness of clothes.
     shifts = np.concatenate([np.eye(3), -np.eye(3)]) * _CLOTHES
     points = (vertices[:, ::16].reshape(-1, 1, 3) + shifts).reshape(-1, 3)
+    if worn is not None:
+        points = np.concatenate([points, worn])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     cameras = {}
     for i in range(count):

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from ndf_mi.body.anny import load_anny
+from ndf_mi.body.poses import Poses
 from ndf_mi.capture.document import FILE_NAME, Document
 from ndf_mi.capture.synthesise import lighting, plan
 from ndf_mi.capture.synthesise.performer import Performer
@@ -70,7 +72,9 @@ def synthesise(
     _claim(out, made_with, overwrite)
     body = load_anny()
     poses = plan.motion(body, settings, look.motion)
-    cameras = camera_ring(settings.cameras, settings.pixels, poses.vertices, settings.seed)
+    performer = Performer(body, plan.shape_of(body), look) if look.wide else None
+    worn = None if performer is None else _corners(performer, poses)
+    cameras = camera_ring(settings.cameras, settings.pixels, poses.vertices, settings.seed, worn)
     scene = lighting.SCENE if constant else None
     document = Document(name, BACKGROUND, cameras, plan.splits(settings, list(cameras)), lighting=scene)
     pairs = document.images()
@@ -85,12 +89,11 @@ def synthesise(
     done = len(pairs) - len(missing)
     progress(done, len(pairs))
     if missing:
-        performer = Performer(body, plan.shape_of(body), look)
+        performer = performer or Performer(body, plan.shape_of(body), look)
         studio = Studio(performer.layers, settings.spp, light)
         for frame in sorted({frame for _, frame in missing}):
             row = poses.index(frame)
-            layers = performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row],
-                                    poses.vertices[row])
+            layers = _posed(performer, poses, row)
             studio.pose(layers, plan.heading(poses.root_rotation[row]))
             for camera in (camera for camera, of in missing if of == frame):
                 seed = (settings.seed * 1009 + frame) * 101 + list(cameras).index(camera)
@@ -102,6 +105,17 @@ def synthesise(
         lighting.write(out, light)
     writer.finish(body, poses)
     return out
+
+
+def _posed(performer: Performer, poses: Poses, row: int) -> list[np.ndarray]:
+    return performer.pose(poses.pose[row], poses.root_rotation[row], poses.translation[row],
+                          poses.vertices[row])
+
+
+def _corners(performer: Performer, poses: Poses) -> np.ndarray:
+    """(N, 3) corners of the convex hulls of what is worn, in all poses."""
+    posed = (np.concatenate(_posed(performer, poses, row)) for row in range(len(poses)))
+    return np.concatenate([points[ConvexHull(points).vertices] for points in posed])
 
 
 def composite(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from PIL import Image
@@ -11,16 +11,22 @@ from PIL import Image
 from ndf_mi.body.anny import load_anny_garments
 from ndf_mi.body.body import Body
 from ndf_mi.capture.synthesise import paint, wrinkles
+from ndf_mi.capture.synthesise.bag import make_bag, strap_edge
 from ndf_mi.capture.synthesise.hair import make_hair
+from ndf_mi.capture.synthesise.headwear import make_big_hair, make_hat
 from ndf_mi.capture.synthesise.layers import Frame, Layer, Sheet, rise, waves
 from ndf_mi.capture.synthesise.plan import Look
-from ndf_mi.capture.synthesise.surface import rim_distance
+from ndf_mi.capture.synthesise.skirt import make_coat_tail, make_skirt
+from ndf_mi.capture.synthesise.surface import clip, rim_distance
 from ndf_mi.optional import find_body_data
 
 #: Heights at rest in metres: hem and collar of the shirt, waist and hem of the trousers, tops of the shoes.
 SHIRT_HEM, COLLAR, WAIST, TROUSER_HEM, SHOE_TOP = 0.83, 1.425, 0.97, 0.085, 0.105
 #: The end of the sleeve as a fraction of the forearm.
 SLEEVE = 0.55
+
+#: Metres by which a bag's straps lie above a top.
+_STRAP = 0.007
 
 #: Distance of tight clothes from the body, relative to loose ones.
 TIGHT = 0.12
@@ -38,40 +44,101 @@ def dress(body: Body, shape: np.ndarray, look: Look) -> list[Layer]:
     def frame(sheet: Sheet) -> Frame:
         return Frame(body, shape, sheet.rest, sheet.weights)
 
-    loose = look.clothes == "loose"
+    top = _Top(frame, tights, look.clothes)
+    head = body.joint_names.index("Head")
     layers = [
-        _shirt(frame, tights, loose),
-        _trousers(frame, tights, loose),
+        top.layer(),
+        _trousers(frame, tights, look.clothes in ("loose", "coat")),
         _shoes(tights),
         _skin(frame(naked), naked, centres),
-        *([make_hair(naked, centres, body.joint_names.index("Head"))] if loose else []),
-        *(_eyeball(sheet, centre) for sheet, centre in zip(eyeballs, centres, strict=True)),
     ]
+    if look.worn_hair in ("bob", "hat"):
+        layers.append(make_hair(naked, centres, head))
+    layers += [_eyeball(sheet, centre) for sheet, centre in zip(eyeballs, centres, strict=True)]
+    if look.clothes == "coat":
+        layers.append(make_coat_tail(body, naked, frame))
+    if look.clothes == "skirt":
+        layers.append(make_skirt(body, naked, frame))
+    if look.worn_hair == "big":
+        layers.append(make_big_hair(naked, centres, head))
+    if look.worn_hair == "hat":
+        layers.append(make_hat(naked, centres, head))
+    if look.bag:
+        layers += [top.straps(), make_bag(body.joint_names, top.back)]
     material = {"matte": "cloth", "glossy": "glossy"}.get(look.surface)
     return [replace(layer, folds=layer.folds if look.folds else None, material=material or layer.material)
             for layer in layers]
 
 
-def _shirt(frame_of: Callable[[Sheet], Frame], tights: Sheet, loose: bool) -> Layer:
-    sheet = tights.eased(8, 14) if loose else tights.eased(1, 0)
-    sheet = sheet.clipped(_shirt_edge(frame_of(sheet)))
-    frame = frame_of(sheet)
-    down = rise(frame.y, 1.32, 0.90)
-    trunk = 0.011 + 0.020 * down + 0.012 * rise(frame.y, SHIRT_HEM + 0.13, SHIRT_HEM)
-    sleeve = 0.011 + 0.020 * rise(frame.arm_s, 0.02, frame.elbow + 0.12)
-    standoff = trunk + (sleeve - trunk) * rise(frame.arm, 0.1, 0.9)
-    standoff *= 1 + 0.12 * waves(sheet.rest, 0.25, 51).clip(-1.5, 1.5)
-    colour = paint.borders(paint.shirt(frame, sheet.rest), rim_distance(sheet.rest, sheet.faces))
-    folds = wrinkles.shirt_folds(frame, sheet.rest, SHIRT_HEM)
-    return _cloth("shirt", sheet, standoff if loose else TIGHT * standoff, colour, folds,
-                  clearance=0.007 if loose else 0.003)
+@dataclass(frozen=True)
+class _Cut:
+    """Where a top ends, and how wide it is.
+
+    Attributes:
+        hem: height in metres.
+        sleeve: its end as a fraction of the forearm.
+        wider: metres added to the distance from the body.
+    """
+
+    hem: float = SHIRT_HEM
+    sleeve: float = SLEEVE
+    wider: float = 0.0
 
 
-def _shirt_edge(frame: Frame) -> np.ndarray:
-    """(N,) metres to the rim of the shirt, positive inside: hem, collar (lower in front) and cuffs."""
+_CUTS = {"coat": _Cut(0.92, 0.9, 0.012), "skirt": _Cut(0.95)}
+
+
+class _Top:
+    """A shirt, or the upper part of a coat, cut from the body's ``tights``."""
+
+    def __init__(self, frame_of: Callable[[Sheet], Frame], tights: Sheet, clothes: str) -> None:
+        self._loose = clothes != "tight"
+        self._coat = clothes == "coat"
+        self._cut = cut = _CUTS.get(clothes, _Cut())
+        sheet = tights.eased(8, 14) if self._loose else tights.eased(1, 0)
+        sheet = sheet.clipped(_top_edge(frame_of(sheet), cut))
+        frame = frame_of(sheet)
+        down = rise(frame.y, 1.32, 0.90)
+        trunk = 0.011 + 0.020 * down + 0.012 * rise(frame.y, cut.hem + 0.13, cut.hem) + cut.wider
+        sleeve = 0.011 + 0.020 * rise(frame.arm_s, 0.02, frame.elbow + 0.12) + cut.wider
+        standoff = trunk + (sleeve - trunk) * rise(frame.arm, 0.1, 0.9)
+        standoff *= 1 + 0.12 * waves(sheet.rest, 0.25, 51).clip(-1.5, 1.5)
+        self._sheet, self._frame = sheet, frame
+        self._standoff = standoff if self._loose else TIGHT * standoff
+
+    def layer(self) -> Layer:
+        sheet, frame = self._sheet, self._frame
+        painted = paint.coat_top(frame, sheet.rest) if self._coat else paint.shirt(frame, sheet.rest)
+        colour = paint.borders(painted, rim_distance(sheet.rest, sheet.faces))
+        return _cloth("coat" if self._coat else "shirt", sheet, self._standoff, colour, self._folds(),
+                      clearance=0.007 if self._loose else 0.003)
+
+    def straps(self) -> Layer:
+        """The straps of a bag, which lie on the top and fold with it."""
+        top, edge = self.layer(), strap_edge(self._frame)
+        rest = top.rest + _STRAP * self._sheet.normals
+        matrix, faces = clip(self._sheet.faces, edge)
+        assert top.folds is not None and top.clearance is not None
+        return Layer("straps", "cloth", faces, matrix @ rest, matrix @ top.weights,
+                     matrix @ paint.straps(self._frame, edge), top.clearance + _STRAP, matrix @ top.slack,
+                     top.folds.mapped(matrix))
+
+    @property
+    def back(self) -> float:
+        """The z coordinate of the middle of the back, metres."""
+        rest = self._sheet.rest + self._standoff[:, None] * self._sheet.normals
+        middle = (np.abs(rest[:, 0]) < 0.08) & (np.abs(rest[:, 1] - 1.2) < 0.15)
+        return float(rest[middle, 2].min())
+
+    def _folds(self) -> wrinkles.Folds:
+        return wrinkles.shirt_folds(self._frame, self._sheet.rest, self._cut.hem)
+
+
+def _top_edge(frame: Frame, cut: _Cut) -> np.ndarray:
+    """(N,) metres to the rim of a top, positive inside: hem, collar (lower in front) and cuffs."""
     collar = COLLAR - frame.y - 0.45 * np.maximum(frame.z, -0.05)
-    cuff = frame.elbow + SLEEVE * (frame.wrist - frame.elbow) - frame.arm_s
-    return np.minimum(np.minimum(frame.y - SHIRT_HEM, collar), np.where(frame.arm > 0.5, cuff, 1.0))
+    cuff = frame.elbow + cut.sleeve * (frame.wrist - frame.elbow) - frame.arm_s
+    return np.minimum(np.minimum(frame.y - cut.hem, collar), np.where(frame.arm > 0.5, cuff, 1.0))
 
 
 def _trousers(frame_of: Callable[[Sheet], Frame], tights: Sheet, loose: bool) -> Layer:
