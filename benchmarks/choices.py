@@ -8,6 +8,10 @@ NAME=VALUE, as for `ndf-mi optimise --option`. Renders each field in the same he
 SSIM are means over the images. The mean squared error, in 1e-4, is the sum of its parts at the silhouette's
 edge (pixels whose 3 × 3 neighbours hold both performer and background), within it, and outside it. Seconds a
 step are the median of the last 300 and depend on the machine; the other figures do not.
+
+With `--held-back` nothing held-out is rendered, so that options can be chosen without it: for each training
+it prints the curve of box PSNR on held-back training views, `step: dB`, and the best of it. All trainings
+hold back the same views.
 """
 
 from __future__ import annotations
@@ -30,6 +34,7 @@ import drjit as dr  # noqa: E402
 
 from ndf_mi.capture.capture import Capture  # noqa: E402
 from ndf_mi.commands.training_options import configured  # noqa: E402
+from ndf_mi.errors import InputError  # noqa: E402
 from ndf_mi.experiments import metrics  # noqa: E402
 from ndf_mi.experiments.evaluate import choose_views  # noqa: E402
 from ndf_mi.experiments.records import SPLITS, View  # noqa: E402
@@ -62,10 +67,18 @@ class Options:
     samples: int = 128
     """Candidate samples a ray when rendered."""
 
+    held_back: bool = False
+    """Print the curve on held-back training views instead of held-out images."""
+
 
 def main(options: Options) -> None:
     """Trains, measures and prints a table."""
     capture = Capture.read(options.capture)
+    if options.held_back:
+        print("| | kept step | held-back PSNR | curve |\n| --- | --- | --- | --- |", flush=True)
+        for choice in ("", *options.choice):
+            print(f"| {choice or 'unchanged'} | {held_back_row(capture, options, choice)} |", flush=True)
+        return
     views = choose_views(capture, options.images, options.seed)
     splits = list(dict.fromkeys(view.split for view in views))
     heads = [f"{SPLITS[split]}: {name}" for split in splits
@@ -82,6 +95,22 @@ def main(options: Options) -> None:
             cells += [f"{psnr:.2f}", f"{ssim:.3f}", *(f"{1e4 * error:.2f}" for error in errors)]
         print(f"| {choice or 'unchanged'} | {seconds:.3f} | {evaluated:,} | " + " | ".join(cells) + " |",
               flush=True)
+
+
+def held_back_row(capture: Capture, options: Options, choice: str) -> str:
+    """Trains; returns the step that is kept, its PSNR on held-back views, and the curve, as a row's cells."""
+    preset, training = configured(options.preset, choice.split(), steps=options.steps, seed=options.seed)
+    curve = {}
+    with tempfile.TemporaryDirectory() as folder:
+        trainer = start(Path(folder) / "run", capture, preset, training)
+        while trainer.done < 1:
+            trainer.step()
+            now = trainer.progress
+            curve[now.held_back_step] = now.held_back_psnr
+    if now.kept_step is None:
+        raise InputError(options.capture, "too few views to hold any back", "a larger held_back")
+    shown = ", ".join(f"{step}: {psnr:.2f}" for step, psnr in curve.items() if psnr is not None)
+    return f"{now.kept_step} | {now.kept_psnr:.2f} | {shown}"
 
 
 def trained(capture: Capture, options: Options, entries: tuple[str, ...]) -> tuple[float, int, NeuralField]:

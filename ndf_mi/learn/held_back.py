@@ -56,7 +56,7 @@ class HeldBackRays:
         run: its poses are those of the reference surface.
         capture: the images.
         options: sampling.
-        views: what to draw from, at least one.
+        views: what to draw from, at least one: indices in the training split.
 
     Attributes:
         batches: one for each view.
@@ -64,9 +64,9 @@ class HeldBackRays:
 
     def __init__(self, run: Run, capture: Capture, options: TrainingOptions, views: Sequence[View]) -> None:
         rng = np.random.default_rng([options.seed, 3])
-        candidates = options.samples * run.model.field.preset.sample_factor
-        self.batches = [_batch(run, capture, options.box_padding, view, RAYS // len(views), candidates, rng)
-                        for view in views]
+        split = capture.splits["train"]
+        self.batches = [view_rays(run, capture, options, split.cameras[column], split.frames[row],
+                                  RAYS // len(views), rng) for row, column in views]
 
     def error(self, image_error: Callable[[FieldParameters, Batch], float],
               parameters: FieldParameters) -> float:
@@ -75,22 +75,34 @@ class HeldBackRays:
         Args:
             image_error: the same of a batch's rays.
         """
-        errors = [image_error(parameters, batch) for batch in self.batches]
-        return float(np.average(errors, weights=[len(batch.in_box) for batch in self.batches]))
+        return mean_error(self.batches, image_error, parameters)
 
 
-def _batch(run: Run, capture: Capture, padding: float, view: View, rays: int, candidates: int,
-           rng: np.random.Generator) -> Batch:
-    """Different pixels of one view's box, without noise: samples lie in the middles of their strata."""
-    split = capture.splits["train"]
-    frame, name = split.frames[view[0]], split.cameras[view[1]]
-    camera = capture.cameras[name]
-    pixels = np.flatnonzero(box_pixels(camera, *drawing_box(capture, run.poses, frame, padding)))
-    pixels = rng.permutation(pixels)[:rays].astype(np.uint32)
-    origin, direction = (each.astype(np.float32) for each in pixel_rays(camera, pixels))
-    target = capture.image(name, frame).reshape(-1, 3)[pixels].T.astype(np.float32)
-    mask = capture.matte(name, frame).ravel()[pixels].astype(np.float32)
+def mean_error(batches: Sequence[Batch], image_error: Callable[[FieldParameters, Batch], float],
+               parameters: FieldParameters) -> float:
+    """Mean of `image_error` over the rays of all batches."""
+    errors = [image_error(parameters, batch) for batch in batches]
+    return float(np.average(errors, weights=[len(batch.in_box) for batch in batches]))
+
+
+def view_rays(run: Run, capture: Capture, options: TrainingOptions, camera: str, frame: int, count: int,
+              rng: np.random.Generator) -> Batch:
+    """Rays through different random pixels of the performer's box in one image, without noise: samples lie in
+    the middles of their strata.
+
+    Args:
+        run: its poses are those of the reference surface.
+        camera, frame: of the image.
+        count: number of rays, or of the box's pixels if these are fewer.
+    """
+    lens = capture.cameras[camera]
+    box = box_pixels(lens, *drawing_box(capture, run.poses, frame, options.box_padding))
+    pixels = rng.permutation(np.flatnonzero(box))[:count].astype(np.uint32)
+    origin, direction = (each.astype(np.float32) for each in pixel_rays(lens, pixels))
+    target = capture.image(camera, frame).reshape(-1, 3)[pixels].T.astype(np.float32)
+    mask = capture.matte(camera, frame).ravel()[pixels].astype(np.float32)
     ones = np.ones(len(pixels), np.float32)
+    candidates = options.samples * run.model.field.preset.sample_factor
     pose = run.poses.pose[run.poses.index(frame)].astype(np.float32)
     return Batch(frame, origin, direction, target, mask, ones, ones,
                  np.full(len(pixels) * candidates, 0.5, np.float32), pose.ravel(), edge_active=False)

@@ -29,6 +29,9 @@ from ndf_mi.training_log import read_training_log
 HISTORY = ("step", "seconds", "loss")
 """Keys of a logged step that the training curve takes."""
 
+HELD_BACK = ("step", "seconds", "held_back_psnr")
+"""Keys that the curve of held-back views takes."""
+
 UNLIMITED = 10**9
 """Steps of a training that its seconds limit."""
 
@@ -129,7 +132,9 @@ class NeuralField:
             "steps": trained.get("steps"),
             "samples": self._renderer.samples,
             "options": {"samples": self._renderer.samples},
-            "history": [[row[key] for key in HISTORY] for row in self._history if row.keys() >= set(HISTORY)],
+            "history": self._curve(HISTORY),
+            "held_back": self._curve(HELD_BACK),
+            "kept_step": (trained.get("kept") or {}).get("step"),
         }
 
     def cache_key(self) -> str:
@@ -138,6 +143,10 @@ class NeuralField:
         for name, values in sorted(self.run.field_tensors().items()):
             state.update(name.encode() + values.tobytes())
         return state.hexdigest()
+
+    def _curve(self, keys: tuple[str, ...]) -> list[list[float]]:
+        """These values of the logged steps that have them all."""
+        return [[row[key] for key in keys] for row in self._history if row.keys() >= set(keys)]
 
     def _take(self, run: Run) -> None:
         self.run = run

@@ -55,7 +55,7 @@ Series = tuple[str, Sequence[float], Sequence[float]]
 
 def line_chart(
     series: Sequence[Series], x_label: str, y_label: str, title: str, reference: Series | None = None,
-    log_x: bool = False,
+    log_x: bool = False, rings: Sequence[tuple[str, int, float, float]] = (),
 ) -> Chart:
     """A small line chart.
 
@@ -65,6 +65,7 @@ def line_chart(
         title: printed above the chart.
         reference: (label, x, y) of a dashed line in the text's colour.
         log_x: whether x is drawn on a logarithmic axis; all x are positive then.
+        rings: (label, index of a line, x, y) of points that are ringed in the line's colour.
     """
     lines = [*series, *([reference] if reference is not None else [])]
     figure, axes = _axes(x_label, y_label)
@@ -77,6 +78,11 @@ def line_chart(
         marker = "o" if len(x) < 3 else None
         axes.plot(x, y, color=colour, linestyle=shape, linewidth=1.6, marker=marker, markersize=5)
         keys.append(Key(label, colour, shape))
+    for label, index, ring_x, ring_y in rings:
+        colour = LINES[index % len(LINES)]
+        axes.plot(ring_x, ring_y, "o", color=colour, markerfacecolor="none", markersize=11,
+                  markeredgewidth=1.6)
+        keys.append(Key(label, colour, "ring"))
     values = [value for _, x, _ in lines for value in x]
     if log_x:
         axes.set_xscale("log")
@@ -84,7 +90,8 @@ def line_chart(
     else:
         whole = all(value == round(value) for value in values)
         axes.xaxis.set_major_locator(MaxNLocator("auto", integer=whole, min_n_ticks=1))
-    alt = f"Line chart of {y_label} against {x_label}. " + " ".join(map(_describe, lines))
+    marked = [f"{label}: {y:.4g} at {x:.4g}." for label, _, x, y in rings]
+    alt = f"Line chart of {y_label} against {x_label}. " + " ".join([*map(_describe, lines), *marked])
     return _chart(figure, title, alt, keys if len(keys) > 1 else [])
 
 

@@ -47,21 +47,30 @@ def times(results: Results) -> Table:
 
 
 def curves(results: Results) -> Chart | None:
-    """PSNR of the training loss over time, of the methods that kept their curve; None where none did."""
-    lines = []
+    """PSNR of the training loss over time, of the methods that kept their curve, and of training views that
+    some hold back, with the step that they keep; None where there is no curve."""
+    lines: list[charts.Series] = []
+    rings = []
     for method in results.methods:
-        history = method.metadata.get("history", ())
-        points = [(time, -10 * math.log10(loss)) for _, time, loss in history if loss > 0 and time > 0]
-        if points:
-            seconds, psnr = zip(*points, strict=True)
-            lines.append((method.label, seconds, psnr))
-    title = "PSNR of the training loss"
-    return charts.line_chart(lines, "seconds of training", "PSNR (dB)", title, log_x=True) if lines else None
+        known: Mapping[str, Any] = method.metadata
+        loss = [(time, -10 * math.log10(loss)) for _, time, loss in known.get("history", ()) if loss > 0]
+        held_back = [(time, psnr) for _, time, psnr in known.get("held_back", ())]
+        for suffix, curve in (("", loss), (", held-back views", held_back)):
+            points = [(time, psnr) for time, psnr in curve if time > 0]
+            if points:
+                seconds, psnr = zip(*points, strict=True)
+                lines.append((f"{method.label}{suffix}", seconds, psnr))
+        for step, time, value in known.get("held_back", ()):
+            if step == known.get("kept_step") and time > 0:
+                rings.append((f"{method.label}, kept: step {step:,}", len(lines) - 1, time, value))
+    title = "PSNR of the training loss" + (" and of held-back training views" if rings else "")
+    return charts.line_chart(lines, "seconds of training", "PSNR (dB)", title, log_x=True,
+                             rings=rings) if lines else None
 
 
 def metadata_fact(method: MethodResult) -> Fact:
     """Everything that a method reports of itself, except its curve and its note."""
-    hidden = ("history", "note", "capture")  # printed elsewhere
+    hidden = ("history", "held_back", "note", "capture")  # printed elsewhere
     shown = {key: value for key, value in method.metadata.items() if key not in hidden and value is not None}
     plain = {key: value for key, value in shown.items() if not isinstance(value, (Mapping, list, tuple))}
     nested = {key: value for key, value in shown.items() if isinstance(value, Mapping) and value}

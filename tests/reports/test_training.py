@@ -43,6 +43,18 @@ def test_curves_of_those_that_kept_one(results):
     assert training.curves(results) is None
 
 
+def test_held_back_views_have_a_curve_and_the_kept_step_is_ringed(results):
+    assert training.curves(results).title == "PSNR of the training loss"
+    results.methods[0].metadata |= {
+        "held_back": [[50, 1.0, 20.0], [100, 2.0, 23.5], [150, 3.0, 22.0]], "kept_step": 100}
+    chart = training.curves(results)
+    assert "NDF, held-back views: from 20 at 1 to 22 at 3" in chart.alt
+    assert "NDF, kept: step 100: 23.5 at 2." in chart.alt
+    (ring,) = [key for key in chart.legend if key.shape == "ring"]
+    (line,) = [key for key in chart.legend if key.label == "NDF, held-back views"]
+    assert ring.colour == line.colour and "held-back" in chart.title
+
+
 def test_everything_that_a_method_reports_is_printed(results):
     facts = [training.metadata_fact(method) for method in results.methods]
     assert facts[1].lines == (
