@@ -74,13 +74,7 @@ class Optimise:
             raise
         now = trainer.progress
         print(f"{self.out}: {now.step} steps in {now.seconds:.0f} s, {now.psnr:.2f} dB on the training rays")
-        if now.kept_step is not None:
-            kept = f"{now.kept_psnr:.2f} dB on held-back training views"
-            if now.kept_step == now.step:
-                print(f"{kept}, the most of all steps measured")
-            else:
-                print(f"{kept} after step {now.kept_step}, which is kept; {now.held_back_psnr:.2f} dB after "
-                      f"step {now.held_back_step}")
+        print(_kept(trainer))
         options = trainer.options
         if options.integrator != QUADRATURE and not trainer.run.scattered:
             print(f"warning: {options.integrator} was not used, because it starts after {options.warm_up} "
@@ -155,3 +149,18 @@ class Optimise:
             raise InputError("--model", f"atlas={training.atlas} as well", "one of the two", f"{why}.")
         print(f"atlas={training.atlas}: the fixed preset {self._preset_name()}, because {why}")
         return False
+
+
+def _kept(trainer: Trainer) -> str:
+    """Which step's field is kept, and why."""
+    now, options = trainer.progress, trainer.options
+    if now.kept_step is not None:
+        best = f"{now.kept_psnr:.2f} dB on held-back training views"
+        if now.kept_step == now.step:
+            return f"{best}, the most of the training"
+        return (f"{best} at step {now.kept_step}, whose field is kept; {now.held_back_psnr:.2f} dB at step "
+                f"{now.held_back_step}")
+    reason = ("held_back=0" if options.held_back == 0 else
+              "no views are held back through scattering" if options.integrator != QUADRATURE else
+              f"held_back={options.held_back:g} of the training views is less than half a view")
+    return f"the last step's field is kept: {reason}"

@@ -1,5 +1,6 @@
 """`ndf-mi render` and `ndf-mi optimise` through the command line: what they write, and how they refuse."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -98,10 +99,22 @@ def test_optimise_and_resume(capture, tmp_path, capsys):
     for option in ("rays=64", "samples=8", "density_layers=[8]"):
         options += ["--option", option]
     assert main(["optimise", str(capture.path), "-o", out, *options]) == 0
-    assert "3 steps" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "3 steps" in printed and "last step's field is kept: held_back=0.05" in printed
     assert main(["optimise", str(capture.path), "-o", out, "--resume"]) == 0
     assert main(["optimise", str(capture.path), "-o", out, *options]) == 2
     assert "--resume" in capsys.readouterr().err
+
+
+def test_optimise_prints_which_step_it_keeps(capture, tmp_path, capsys):
+    options = ["--preset", "tiny", "--steps", "51"]
+    for option in ("rays=64", "samples=8", "density_layers=[8]", "held_back=0.25"):
+        options += ["--option", option]
+    assert main(["optimise", str(capture.path), "-o", str(tmp_path / "run"), *options]) == 0
+    printed = capsys.readouterr().out
+    kept = json.loads((tmp_path / "run" / "config.json").read_text())["trained"]["kept"]
+    assert f"{kept['held_back_psnr']:.2f} dB on held-back training views" in printed
+    assert ("the most of the training" if kept["step"] == 51 else "at step 50, whose field") in printed
 
 
 @pytest.mark.parametrize(("arguments", "words"), [

@@ -31,7 +31,21 @@ def test_its_metadata_describes_the_training(field, capture):
     assert [entry[0] for entry in known["history"]] == [50, 60] and all(
         len(entry) == 3 for entry in known["history"]
     )
+    assert known["held_back"] == [] and known["kept_step"] is None
     json.dumps(known, allow_nan=False)
+
+
+def test_its_metadata_has_the_curve_of_held_back_views(trained_run, capture, tmp_path):
+    method = NeuralField.of(trained_run, 16)
+    method.save(tmp_path / "copy")
+    config = json.loads((tmp_path / "copy" / "config.json").read_text())
+    config["trained"]["kept"] = {"step": 50, "held_back_psnr": 20.5}
+    (tmp_path / "copy" / "config.json").write_text(json.dumps(config))
+    with open(tmp_path / "copy" / "metrics.jsonl", "a") as log:
+        log.write(json.dumps({"step": 60, "seconds": 3.0, "held_back_psnr": 20.5}) + "\n")
+    again = NeuralField(16)
+    again.load(tmp_path / "copy", capture)
+    assert again.metadata()["held_back"] == [[60, 3.0, 20.5]] and again.metadata()["kept_step"] == 50
 
 
 def test_its_cache_key_depends_on_what_is_rendered(field, trained_run):
