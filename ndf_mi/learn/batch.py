@@ -14,6 +14,7 @@ from ndf_mi.capture.camera import box_pixels, pixel_rays
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.images import is_soft
 from ndf_mi.errors import InputError
+from ndf_mi.learn.mask_trust import MaskTrust
 from ndf_mi.learn.options import TrainingOptions
 
 
@@ -41,7 +42,7 @@ class Batch:
         mask: (R,) in [0, 1], the share of the pixel that the performer covers; of a capture with masks
             instead of mattes, 1 on the performer, else 0.
         mask_valid: (R,) in [0, 1], how far the mask gives the opacity: 0 near the edge of a mask without
-            intermediate values, where pixels are partly covered.
+            intermediate values, where pixels are partly covered; less than 1 where the mask is doubtful.
         in_box: (R,) 1 for pixels drawn from the whole box, 0 for those drawn from the mask, which are drawn
             more often than they occur in an image.
         jitter: in [0, 1), one number for each candidate sample of each ray, ray by ray.
@@ -90,13 +91,14 @@ class BatchSampler:
         sample_factor: of the preset.
         poses: of the reference surface. Pixels are drawn from the box around it and the capture's body.
         held_back: views that are never drawn: indices of their frames and cameras in the split.
+        band: metres around the reference surface where the field may be non-zero.
 
     Raises:
         InputError: the split is empty, or an image shows nothing of the performer.
     """
 
     def __init__(self, capture: Capture, options: TrainingOptions, sample_factor: int,
-                 poses: Poses, held_back: Collection[tuple[int, int]] = ()) -> None:
+                 poses: Poses, held_back: Collection[tuple[int, int]] = (), band: float = 0.1) -> None:
         split = capture.splits["train"]
         self._options = options
         self._poses = poses
@@ -106,13 +108,20 @@ class BatchSampler:
         if not self._frames or not self._cameras:
             raise InputError(f"{capture.path / 'capture.json'}: splits.train", "no cameras or no frames",
                              "at least one of each")
+        # Weights of masks are of no use to a loss without them.
+        trust = MaskTrust(capture, band) if options.mask_trust and options.opacity_weight > 0 else None
         self._views: dict[tuple[int, int], _View] = {}
         for row, frame in enumerate(self._frames):
             low, high = drawing_box(capture, poses, frame, options.box_padding)
-            for column, name in enumerate(split.cameras):
-                if (row, column) in held_back:
-                    continue
-                matte = capture.matte(name, frame)
+            columns = [c for c in range(len(self._cameras)) if (row, c) not in held_back]
+            images = [capture.image(split.cameras[column], frame) for column in columns]
+            mattes = [capture.matte(split.cameras[column], frame) for column in columns]
+            weights = [np.ones_like(matte) for matte in mattes]
+            if trust is not None and columns:
+                weights = trust(frame, poses.vertices[poses.index(frame)],
+                                [self._cameras[column] for column in columns], images, mattes)
+            for column, image, matte, weight in zip(columns, images, mattes, weights, strict=True):
+                name = split.cameras[column]
                 mask = matte >= 0.5
                 allowed = ~_edge(mask, options.edge_kernel)
                 box = box_pixels(self._cameras[column], low, high) & allowed
@@ -122,8 +131,7 @@ class BatchSampler:
                 # A matte says how far pixels on the edge are covered, a mask does not.
                 valid = np.ones(mask.shape) if is_soft(matte) else ~_edge(mask, options.opacity_edge)
                 self._views[row, column] = _View(
-                    _bytes(capture.image(name, frame)).reshape(-1, 3), _bytes(matte).ravel(),
-                    _bytes(valid).ravel(),
+                    _bytes(image).reshape(-1, 3), _bytes(matte).ravel(), _bytes(valid * weight).ravel(),
                     np.flatnonzero(mask & allowed).astype(np.uint32), np.flatnonzero(box).astype(np.uint32))
         self._columns: dict[int, list[int]] = {}
         for row, column in self._views:

@@ -89,6 +89,9 @@ class TrainingOptions:
     background: the performer covers such pixels partly, which a mask of 0 and 255 cannot say. 0 ignores
     none; of images with a matte all pixels count."""
 
+    mask_trust: bool = True
+    """Whether that term counts less where the image or other cameras contradict the mask."""
+
     edge_weight: float = 0.1
     """Weight of the mean density near the band's edge (|l| above 0.8 of the band), in units of the preset's
     `density_gain`, once the image error is below `edge_below`."""
@@ -151,7 +154,7 @@ class TrainingOptions:
         """The options from JSON values. Raises InputError for an unknown option or a wrong type."""
         # Trainings that were saved before these options existed ran without them.
         before = {"pose_noise": 0.0, "opacity_edge": 0, "min_transmittance": 0.0, "surface": "body",
-                  "held_back": 0.0}
+                  "held_back": 0.0, "mask_trust": False}
         return read_options(cls, before | rename_entries(values, TRAINING_FIELDS), where)
 
     @classmethod

@@ -122,7 +122,8 @@ class Trainer:
         share = options.held_back if options.integrator == QUADRATURE else 0.0
         held_back = choose_views(len(split.frames), len(split.cameras), share, options.seed)
         self.batches: Callable[[np.random.Generator, bool, bool], Batch] = BatchSampler(
-            capture, options, run.model.field.preset.sample_factor, run.poses, held_back)
+            capture, options, run.model.field.preset.sample_factor, run.poses, held_back,
+            run.model.field.preset.band)
         self._held_back = HeldBackRays(run, capture, options, held_back) if held_back else None
         self._best = Best()
         self._rng = np.random.default_rng([options.seed, 1])
