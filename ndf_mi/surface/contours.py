@@ -76,19 +76,36 @@ class Contours:
         self._opposite = np.roll(self._faces, 1, axis=1).ravel()[other]
         self._boundary = np.unique(edges[opposite < 0], axis=0)
 
-    def edges(self, vertices: np.ndarray, camera: Camera) -> np.ndarray:
-        """(E, 2) vertex indices of the contour edges of the mesh with these (V, 3) vertices, metres."""
-        corners = vertices[self._faces]
-        normals = trimesh.triangles.cross(corners)
-        facing = (normals * (camera.position - corners[:, 0])).sum(1) > 0
+    def planes(self, vertices: np.ndarray) -> np.ndarray:
+        """(F, 4) a normal n and n · x of the plane of each triangle, for vertices (V, 3) in metres. All
+        cameras that see the same vertices can share them.
+        """
+        a, b, c = (vertices[self._faces[:, corner]].astype(np.float64) for corner in range(3))
+        x, y, z = (b - a).T
+        u, v, w = (c - a).T
+        normals = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+        return np.column_stack([normals, (normals * a).sum(1)])
+
+    def edges(self, vertices: np.ndarray, camera: Camera, planes: np.ndarray | None = None) -> np.ndarray:
+        """(E, 2) vertex indices of the contour edges of the mesh with these (V, 3) vertices, metres.
+
+        Args:
+            vertices: (V, 3) world space, metres.
+            camera: a pinhole camera.
+            planes: of these vertices, where they are known.
+        """
+        if planes is None:
+            planes = self.planes(vertices)
+        normals = planes[:, :3]
+        facing = normals @ camera.position > planes[:, 3]
         one, other = self._wings.T
         chosen = np.flatnonzero(facing[one] != facing[other])
         reach = vertices[self._opposite[chosen]] - vertices[self._inner[chosen, 0]]
         convex = (normals[one[chosen]] * reach).sum(1) < 0
         return np.concatenate([self._inner[chosen[convex]], self._boundary])
 
-    def sample(self, vertices: np.ndarray, camera: Camera, count: int,
-               random: np.random.Generator) -> ContourSamples | None:
+    def sample(self, vertices: np.ndarray, camera: Camera, count: int, random: np.random.Generator,
+               planes: np.ndarray | None = None) -> ContourSamples | None:
         """Stratified points, uniform in length in the image.
 
         Args:
@@ -96,12 +113,13 @@ class Contours:
             camera: a pinhole camera.
             count: the number of points.
             random: draws their positions.
+            planes: of these vertices, where they are known.
 
         Returns:
             the points; None if no contour is in front of the camera.
         """
         vertices = vertices.astype(np.float64)
-        edges = self.edges(vertices, camera)
+        edges = self.edges(vertices, camera, planes)
         depth = -camera.to_camera(vertices)[:, 2]
         edges = edges[(depth[edges] > 0).all(axis=1)]
         ends = camera.project(vertices[edges.ravel()]).reshape(-1, 2, 2)
@@ -142,7 +160,7 @@ def contour_gradient(surface: TexturedSurface, vertices: np.ndarray, camera: Cam
     motion = samples.length * _jump(surface, camera, samples, adjoint, rectangle)
     gradient = np.zeros_like(vertices, dtype=np.float64)
     for index, share in ((samples.start, 1 - samples.position), (samples.end, samples.position)):
-        along = (motion * share)[:, None] * _projection_vjp(camera, vertices[index], samples.normal)
+        along = (motion * share)[:, None] * projection_vjp(camera, vertices[index], samples.normal)
         for axis in range(3):
             gradient[:, axis] += np.bincount(index, along[:, axis], minlength=len(vertices))
     return gradient
@@ -175,7 +193,7 @@ def _jump(surface: TexturedSurface, camera: Camera, samples: ContourSamples, adj
         return dr.select(visible, jump, 0).numpy().astype(np.float64)
 
 
-def _projection_vjp(camera: Camera, points: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def projection_vjp(camera: Camera, points: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """(N, 3) the gradients of v · project(X) in world points X (N, 3), for pixel vectors v (N, 2)."""
     x, y, z = camera.to_camera(points).T
     scale = camera.fl_x / z

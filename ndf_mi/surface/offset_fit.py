@@ -127,8 +127,9 @@ class OffsetFit:
         targets = [np.dstack([truth, self._views.coverage(camera, frame)]) for camera, _, truth in views]
         error, adjoints = _image_loss(layers, targets, self._views.area * len(views))
         moved = np.zeros_like(posed, dtype=np.float64)
+        planes = self._contours.planes(posed)
         for (camera, rectangle, _), adjoint in zip(views, adjoints, strict=True):
-            samples = self._contours.sample(posed, camera, CONTOUR_SAMPLES, self._random)
+            samples = self._contours.sample(posed, camera, CONTOUR_SAMPLES, self._random, planes)
             if samples is not None:
                 moved += contour_gradient(self._surface, posed, camera, samples, adjoint, rectangle)
         pairs = zip(layers, adjoints, strict=True)

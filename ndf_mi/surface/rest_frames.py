@@ -40,10 +40,16 @@ class RestFrames:
             self._neighbour = _a_neighbour(body.faces, len(self.vertices))
             self._frames = self._tangent_frames(self.vertices)
         self._joints: dict[int, np.ndarray] = {}
+        self._last: tuple[int, np.ndarray] | None = None
 
     def linear(self, frame: int) -> np.ndarray:
         """(V, 3, 3) A_i of a frame. Raises InputError listing the frames if there is no such frame."""
         row = self._poses.index(frame)
+        if self._last is None or self._last[0] != row:
+            self._last = row, self._linear(row)
+        return self._last[1]
+
+    def _linear(self, row: int) -> np.ndarray:
         if not self._body.skinned:
             now = self._tangent_frames(self._poses.vertices[row].astype(np.float64))
             return np.einsum("vij,vkj->vik", now, self._frames)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -10,19 +12,56 @@ from sphere_capture import with_body
 
 from ndf_mi.body.skinning import skin
 from ndf_mi.capture.capture import Capture
-from ndf_mi.surface.reference import fit_reference, with_offsets
+from ndf_mi.errors import InputError
+from ndf_mi.surface.reference import ROUNDS, fit_reference, with_offsets
 from ndf_mi.surface.rest_frames import RestFrames
 
 
-def test_finds_the_sphere(shrunk_capture):
-    found = fit_reference(shrunk_capture)
+def test_finds_the_sphere_and_repeats(shrunk_capture):
+    calls = []
+    found = fit_reference(shrunk_capture, progress=lambda *call: calls.append(call))
     radius = np.linalg.norm(shrunk_capture.body.template + found.offsets, axis=1)
-    assert np.median(radius) == pytest.approx(0.5, abs=0.01)
+    assert np.median(radius) == pytest.approx(0.5, abs=0.01)  # a pixel is 3 cm
     assert found.agreement > 0.96
+    assert found.residual.shape == radius.shape and found.residual.max() < 0.015
     assert found.body is shrunk_capture.body
     for row, shift in enumerate(found.poses.translation):
         np.testing.assert_allclose(found.poses.vertices[row] - shift,
                                    shrunk_capture.body.template + found.offsets, atol=0.02)
+    assert [call[1] for call in calls] == list(range(1, ROUNDS + 1)) and calls[-1][2] == 1
+    assert found.steps == ROUNDS and found.seconds >= calls[-1][0]
+    np.testing.assert_array_equal(found.offsets, fit_reference(shrunk_capture).offsets)
+
+
+def test_a_budget_ends_the_fit(shrunk_capture):
+    assert fit_reference(shrunk_capture, budget=1e-3).steps == 1
+    assert fit_reference(shrunk_capture, budget=1e3).steps == ROUNDS
+
+
+def with_mattes(capture: Capture, change) -> Capture:
+    changed = copy.copy(capture)
+    changed.matte = lambda name, frame: change(capture.matte(name, frame))
+    return changed
+
+
+@pytest.mark.parametrize(("change", "found"), [
+    (lambda matte: 1 - matte, r"overlap by 0\.00 .*, and by 1\.00 where the masks are inverted"),
+    (lambda matte: np.roll(matte, 22, axis=1), r"overlap by 0\.[01]\d \(intersection over union\)$"),
+    (lambda matte: np.roll(matte, 12, axis=1), r"overlap by 0\.[4-6]\d .* after the surface was fitted"),
+])
+def test_masks_of_something_else_are_refused(capture, change, found):
+    with pytest.raises(InputError, match="splits.train") as refused:
+        fit_reference(with_mattes(capture, change))
+    assert re.search(found, refused.value.found)
+    assert "inverted" in refused.value.repair or "255" in refused.value.repair
+
+
+def test_an_interrupt_passes(capture):
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_reference(capture, progress=interrupt)
 
 
 def skinned_capture(capture: Capture) -> Capture:
