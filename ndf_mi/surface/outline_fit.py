@@ -105,12 +105,15 @@ class OutlineFit:
         update = self._solve(found.weight, length, OVER * found.move, pull)
         self.offsets = repair(self._rest.vertices, self.offsets + update, self._faces, self.offsets)
 
-    def residual(self, views: Views) -> np.ndarray:
-        """(V,) metres, the root mean square distance between the outlines of surface and masks, smoothed over
-        the surface by `RESIDUAL_LENGTH`; where no outline passes, it comes from the surroundings.
+    def check(self, views: Views) -> tuple[float, np.ndarray]:
+        """`agreement`, and the residual: (V,) metres, the root mean square distance between the outlines of
+        surface and masks, smoothed over the surface by `RESIDUAL_LENGTH`. Where no outline passes, it comes
+        from the surroundings.
         """
-        found = self.measure(views)
-        return np.sqrt(np.maximum(self._solve(found.seen, RESIDUAL_LENGTH, found.squared[:, None])[:, 0], 0))
+        silhouettes, masks = list[np.ndarray](), list[np.ndarray]()
+        found = self.measure(views, (silhouettes, masks))
+        squared = self._solve(found.seen, RESIDUAL_LENGTH, found.squared[:, None])[:, 0]
+        return agreement(silhouettes, masks), np.sqrt(np.maximum(squared, 0))
 
     def agreement(self, views: Views) -> float:
         """The mean intersection over union of masks and silhouettes."""
@@ -137,8 +140,14 @@ class OutlineFit:
         factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         return np.asarray(factors.solve(np.ascontiguousarray(scale * values - pull)))
 
-    def measure(self, views: Views) -> Outlines:
-        """How the outlines differ in these views."""
+    def measure(self, views: Views,
+                collected: tuple[list[np.ndarray], list[np.ndarray]] | None = None) -> Outlines:
+        """How the outlines differ in these views.
+
+        Args:
+            views: what is compared.
+            collected: lists that the silhouettes and the masks, (h, w) bool, are added to.
+        """
         count = len(self.offsets)
         totals = np.zeros((count, 6))
         for frame, seen in views.items():
@@ -148,6 +157,9 @@ class OutlineFit:
             sums = np.zeros((count, 6))
             for camera, matte in seen:
                 self._add(sums, posed, planes, camera, matte)
+                if collected is not None:
+                    collected[0].append(self._caster.silhouette(camera))
+                    collected[1].append(matte >= 0.5)
             sums[:, 1:4] = self._rest.vjp(frame, sums[:, 1:4])
             totals += sums
         return Outlines(totals[:, 0], totals[:, 1:4], totals[:, 4], totals[:, 5])

@@ -31,6 +31,11 @@ LONGEST, SHORTEST = 0.1, 0.03
 CHECKED_FRAMES = 12
 """Frames whose masks say how good the surface is."""
 
+ENDING = 1.5
+"""What follows the rounds, the measuring and posing, takes this many times as long as what comes before
+them.
+"""
+
 LEAST_OVERLAP = 0.2
 """Least agreement of the masks with the body before the fit. Inverted masks have 0.00, masks of the whole
 image 0.08, a performer in loose clothes 0.68.
@@ -75,7 +80,8 @@ def fit_reference(capture: Capture, budget: float | None = None, seed: int = 0,
 
     Args:
         capture: with a `train` split.
-        budget: wall-clock seconds to end by, if the steps are not done before; None takes all steps, which
+        budget: wall-clock seconds to end by, if the steps are not done before (the estimate may be off by a
+            second); None takes all steps, which
             repeats on the same machine.
         seed: of the order of frames and of the samples.
         progress: called after each step with the seconds and steps so far, and the share of the fit that is
@@ -91,20 +97,24 @@ def fit_reference(capture: Capture, budget: float | None = None, seed: int = 0,
     checked = views.every(CHECKED_FRAMES)
     if fit.agreement(checked) < LEAST_OVERLAP:
         raise _not_found(capture, fit, checked, None)
+    begun = time.perf_counter() - start
+    rounds_seconds = None if budget is None else max(budget - (1 + ENDING) * begun, 1e-6)
     steps, done = 0, 0.0
     while done < 1:
         fit.step(views.next(), LONGEST * (SHORTEST / LONGEST) ** done)
         steps, seconds = steps + 1, time.perf_counter() - start
-        done = steps / ROUNDS if budget is None else max(steps / ROUNDS, seconds / budget)
+        done = steps / ROUNDS
+        if rounds_seconds is not None:
+            done = max(done, (seconds - begun) / rounds_seconds)
         if progress is not None:
             progress(seconds, steps, min(done, 1))
-    agreement = fit.agreement(checked)
+    agreement, residual = fit.check(checked)
     if agreement < LEAST_AGREEMENT:
         raise _not_found(capture, fit, checked, agreement)
     offsets = fit.offsets.astype(np.float32)
-    residual = fit.residual(checked).astype(np.float32)
     body, poses = with_offsets(capture, rest, offsets)
-    return ReferenceSurface(body, poses, offsets, residual, agreement, time.perf_counter() - start, steps)
+    return ReferenceSurface(body, poses, offsets, residual.astype(np.float32), agreement,
+                            time.perf_counter() - start, steps)
 
 
 def with_offsets(capture: Capture, rest: RestFrames, offsets: np.ndarray) -> tuple[Body, Poses]:

@@ -73,9 +73,10 @@ def test_finds_a_sphere_of_twice_the_radius(shrunk_capture):
         fit.step(views, length)
     radius = np.linalg.norm(rest.vertices + fit.offsets, axis=1)
     assert np.median(radius) == pytest.approx(0.45, abs=0.02)
-    assert fit.agreement(views) > 0.95
+    agreement, residual = fit.check(views)
+    assert agreement == fit.agreement(views) > 0.95
     assert not degenerate_triangles(rest.vertices, fit.offsets, changed.body.faces).any()
-    assert fit.residual(views).max() < 0.04
+    assert residual.shape == radius.shape and residual.max() < 0.04
 
 
 def test_the_fit_repeats(shrunk_capture):
