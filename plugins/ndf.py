@@ -165,7 +165,8 @@ def register() -> None:
             if self.grid_spacing > 0:
                 preset = model.field.preset
                 reach = max(preset.band, preset.band_inside)
-                self._seen = SparseGrid(self._model, model.surface, self.vertices, reach, self.grid_spacing)
+                self._seen = SparseGrid(self._model, model.surface, self.vertices, reach, self.grid_spacing,
+                                        model.bands)
             self.majorant = dr.opaque(mi.Float, self._seen.majorant * self.scale)
 
         def traverse(self, callback: Any) -> None:

@@ -108,7 +108,8 @@ def make_shell(props: mi.Properties) -> mi.Object:
             vertices = mi.Float((run.poses.vertices[run.poses.index(frame)] + offset).ravel())
         else:
             vertices = field.vertices
-        shell = band_shell(run.model.surface, vertices, preset.band, cell, preset.band_inside)
+        shell = band_shell(run.model.surface, vertices, preset.band, cell, preset.band_inside,
+                           run.model.bands)
         return make_mesh("ndf_shell", *shell, props=props)
     if field is None:
         found = f"{layers} around no `ndf` medium"

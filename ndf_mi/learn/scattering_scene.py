@@ -52,7 +52,7 @@ class ScatteringScene:
             extent = np.maximum(extent, high - low)
             vertices = mi.Float(run.poses.vertices[run.poses.index(frame)].ravel())
             shells[frame] = band_shell(surface, vertices, preset.band, max(cell, SHELL_CELL),
-                                       preset.band_inside)
+                                       preset.band_inside, run.model.bands)
         nx, ny, nz = (int(n) for n in np.ceil(extent / cell) + 5)
         self._shape = (nx, ny, nz)
         largest = [max(len(shell[part]) for shell in shells.values()) for part in (0, 1)]
@@ -107,15 +107,17 @@ def expect_outside(run: Run, camera: Camera, frame: int, cell: float = SHELL_CEL
         cell: spacing in metres of the grid that the shell is extracted from.
     """
     # The shell stays within two cells' diagonals of the band.
-    reach = run.model.band + 2 * math.sqrt(3) * max(cell, SHELL_CELL)
+    shell = 2 * math.sqrt(3) * max(cell, SHELL_CELL)
+    reach = run.model.band + shell
     vertices = run.poses.vertices[run.poses.index(frame)]
     position = np.asarray(camera.position, dtype=np.float32)
     if (position < vertices.min(0) - reach).any() or (position > vertices.max(0) + reach).any():
         return
     with dr.suspend_grad():
-        found = PosedSurface(run.model.surface, mi.Float(vertices.ravel()),
-                             reach).project(mi.Point3f(position.tolist()))
-        if not found.valid[0]:
+        posed, at = (PosedSurface(run.model.surface, mi.Float(vertices.ravel()), reach),
+                     mi.Point3f(position.tolist()))
+        found, bands = posed.project(at), run.model.bands
+        if not found.valid[0] or (bands is not None and not posed.within_bands(at, bands, shell)[0][0]):
             return
     raise InputError(
         f"camera {camera.name!r}, frame {frame}",

@@ -25,8 +25,9 @@ class Bands:
         largest: (V,) float32, the larger of the two.
         outside, inside: the largest widths of all vertices, metres.
         typical: the median over vertices of the larger of the two, metres.
-        reach: for each node of the search tree, numbered as in :class:`ndf_mi.projection.surface.Tree`, the
-            largest width of the vertices below it, metres; entry 0 is not used.
+        reach, reach_inside: for each node of the search tree, numbered as in
+            :class:`ndf_mi.projection.surface.Tree`, the largest width of the vertices below it in metres: of
+            both, and inside alone. Entry 0 is not used.
 
     Raises:
         InputError: the widths' shape differs, or one is not finite and above 0.
@@ -46,12 +47,12 @@ class Bands:
         self.outside, self.inside = (float(width) for width in widths.max(axis=0))
         self.typical = float(np.median(self.largest))
         self._flat = aligned(mi.Float(widths.ravel()))
-        level = self.largest[surface.leaf_corners.numpy().reshape(-1, 4)].max(axis=1)
-        levels = [level]
-        while len(level) > 1:
-            level = level.reshape(-1, 2).max(axis=1)
-            levels.append(level)
-        self.reach = aligned(mi.Float(np.concatenate([np.zeros(1, np.float32), *levels[::-1]])))
+        self._surface = surface
+        self.reach, self.reach_inside = (_over_nodes(surface, width) for width in (self.largest, widths[:, 1]))
+
+    def widened(self, by: float) -> Bands:
+        """The same with `by` metres more on either side."""
+        return Bands(self._surface, self.widths + np.float32(by))
 
     def at(self, corner: list[mi.UInt32], weights: mi.Point3f, active: mi.Bool) -> mi.Point2f:
         """The widths at points of triangles, outside and inside, in metres: attached to the weights.
@@ -64,3 +65,13 @@ class Bands:
         for k in range(3):
             total = total + dr.gather(mi.Point2f, self._flat, corner[k], active) * weights[k]
         return total
+
+
+def _over_nodes(surface: Surface, width: np.ndarray) -> mi.Float:
+    """The largest of (V,) values below each node of the search tree."""
+    level = width[surface.leaf_corners.numpy().reshape(-1, 4)].max(axis=1)
+    levels = [level]
+    while len(level) > 1:
+        level = level.reshape(-1, 2).max(axis=1)
+        levels.append(level)
+    return aligned(mi.Float(np.concatenate([np.zeros(1, np.float32), *levels[::-1]])))

@@ -13,7 +13,7 @@ from ndf_mi.projection.bands import Bands
 from ndf_mi.projection.cells import Cells
 from ndf_mi.projection.local import CORNER_0, CORNER_1, EDGE_0, EDGE_2, Local, closest_on_triangle, unit
 from ndf_mi.projection.refit import Frame, face_normals, refit, vertex_normals
-from ndf_mi.projection.search import closest_pair
+from ndf_mi.projection.search import any_within, closest_pair
 from ndf_mi.projection.surface import Surface
 
 SORTED = 16384
@@ -110,6 +110,20 @@ class PosedSurface:
         """False only off the band for certain; reads one cell of a grid."""
         with dr.suspend_grad():
             return self._cells.may_contain(mi.Point3f(dr.detach(x)))
+
+    def within_bands(self, x: mi.Point3f, bands: Bands, extra: float) -> tuple[mi.Bool, mi.Bool]:
+        """Whether some triangle is within its own width, plus `extra` metres, of a point: by the larger of
+        its two widths, and by that inside. Wherever such a triangle is, another one may be closer.
+
+        A ball of radius `extra` about a point of which neither is true holds nothing of the band.
+        """
+        with dr.suspend_grad():
+            q, more = self._frame.to_units(mi.Point3f(dr.detach(x))), dr.opaque(mi.Float, extra)
+            root, scale = dr.full(mi.UInt32, 1, dr.width(x)), self._frame.scale * (1 + 1e-3)
+            some = any_within(self._boxes, q, bands.reach, scale, more * scale, root, mi.UInt32(0))
+            root = dr.select(some, root, 0)
+            return some, any_within(self._boxes, q, bands.reach_inside, scale, more * scale, root,
+                                    mi.UInt32(0))
 
     def closest(self, x: mi.Point3f, active: mi.Bool | bool = True) -> tuple[mi.UInt32, mi.Bool]:
         """The closest triangle's number and whether there is one, detached; 0 in lanes that are inactive or

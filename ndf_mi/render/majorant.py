@@ -90,9 +90,7 @@ def bounds(volume: BoundedField, preset: Preset, sampled: Distances, margin: flo
     samples for a cell of 2³ parts. It is an estimate, not a bound: :func:`exceeding` checks it at other
     points. `sampled` are distances around the field's band at its pose; `margin` is above 1.
     """
-    inside = sampled.distance.reshape(-1)[sampled.places]
-    some = (inside <= preset.band) & (inside >= -preset.band_inside)
-    places = sampled.places[some]
+    places = sampled.band_places(preset.band, preset.band_inside)
     sigma = np.zeros(sampled.distance.shape, dtype=np.float32)
     sigma.reshape(-1)[places] = densities(volume, sampled.points(places))
     band = sampled.band_cells(preset.band, preset.band_inside)

@@ -229,10 +229,11 @@ class Majorants:
                  margin: float = MARGIN) -> None:
         self._surface = model.surface
         self._preset = model.field.preset
+        self._bands = model.bands
         self._margin = margin
         self._cell = cell
         self._checks = 0
-        self._sampled = distances(model.surface, vertices, self._preset.band, cell)
+        self._sampled = distances(model.surface, vertices, self._preset.band, cell, self._bands)
         estimate = bounds(posed, self._preset, self._sampled, margin)
         levels = best_levels(estimate, count)
         self.layers = cut_layers(estimate, self._sampled, self._preset.band, self._preset.band_inside, levels)
@@ -242,14 +243,15 @@ class Majorants:
         """The share of the band around these vertices that lies outside the shells, from random points; 0 for
         the body that the shells were made around."""
         posed = dr.detach(vertices).numpy().reshape(-1, 3)
-        points = band_points(self._surface, posed, self._preset.band, self._preset.band_inside, COVERED)
+        points = band_points(self._surface, posed, self._preset.band, self._preset.band_inside, COVERED,
+                             bands=self._bands)
         return float(np.mean(self.layers.locate(points) < 0))
 
     def update(self, posed: BoundedField, vertices: mi.Float | None = None) -> None:
         """Estimates the majorants again, for a changed field between the same shells; `vertices` are the
         body's, if they have changed."""
         if vertices is not None:
-            self._sampled = distances(self._surface, vertices, self._preset.band, self._cell)
+            self._sampled = distances(self._surface, vertices, self._preset.band, self._cell, self._bands)
         self._settle(posed, bounds(posed, self._preset, self._sampled, self._margin))
 
     def _settle(self, posed: BoundedField, estimate: Bounds) -> None:

@@ -171,8 +171,9 @@ def _shape_issues(scene: mi.Scene, shape: Any) -> list[str]:
     if edges:
         return [*found, f"{name}: is not closed ({edges} open edges), so that light enters its medium "
                         "unnoticed, or never leaves it. Close the mesh, or use an `ndf_shell`."]
-    preset, vertices = field.run.model.field.preset, dr.detach(field.vertices).numpy().reshape(-1, 3)
-    points = band_points(field.run.model.surface, vertices, preset.band, preset.band_inside, POINTS)
+    model, vertices = field.run.model, dr.detach(field.vertices).numpy().reshape(-1, 3)
+    preset = model.field.preset
+    points = band_points(model.surface, vertices, preset.band, preset.band_inside, POINTS, bands=model.bands)
     outside = ~contains(scene, shape, points)
     sample = field.posed().fused(mi.Point3f(points.astype(np.float32).T), mi.Vector3f(0.0, 0.0, 1.0))
     missing = outside & (sample.sigma.numpy() > 0)

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ndf_mi.errors import InputError
-from ndf_mi.projection import PosedSurface, Surface
+from ndf_mi.projection import Bands, PosedSurface, Surface
 
 PARTS = 2
 """Samples of the distance along each side of a cell. Each sample decides whether its cube, a part of the
@@ -60,6 +60,22 @@ class Grid:
 
 
 @dataclass(frozen=True)
+class Local:
+    """How the parts of a grid's cells lie to a band whose width varies over the body.
+
+    Attributes:
+        edge: (P,) float32, how far the centres of parts are outside the band in metres, negative in it; at
+            the `places` of :class:`Distances`.
+        touched: (PARTS·nx, PARTS·ny, PARTS·nz) bool, which parts the band can touch.
+        shallow: of the same shape, which of these its part inside the body can touch.
+    """
+
+    edge: np.ndarray
+    touched: np.ndarray
+    shallow: np.ndarray
+
+
+@dataclass(frozen=True)
 class Distances:
     """Signed distances at the centres of the :data:`PARTS`³ parts of every cell.
 
@@ -67,11 +83,13 @@ class Distances:
         grid: the cells.
         distance: (PARTS·nx, PARTS·ny, PARTS·nz) float32 l in metres, infinite where |l| is beyond the reach.
         places: flat indices, into the above, of the finite ones.
+        local: how they lie to a band whose width varies; None for a band of one width.
     """
 
     grid: Grid
     distance: np.ndarray
     places: np.ndarray
+    local: Local | None = None
 
     def points(self, places: np.ndarray) -> np.ndarray:
         """(N, 3) float32 positions of flat indices."""
@@ -80,7 +98,8 @@ class Distances:
         return np.ascontiguousarray(x.numpy().T)
 
     def band_cells(self, band: float, inside: float) -> np.ndarray:
-        """The cells that the band −`inside` <= l <= `band` can touch, (nx, ny, nz) bool.
+        """The cells that the band −`inside` <= l <= `band` can touch, (nx, ny, nz) bool. Where the band's
+        width varies, it is taken from :class:`Local`.
 
         |l| changes by at most the distance between two points. A part of a cell, whose corners are r away
         from its centre, therefore holds no point of the band if |l| > `band` + r there; nor if
@@ -89,15 +108,25 @@ class Distances:
         """
         r = 0.5 * math.sqrt(3.0) * self.grid.cell / PARTS
         l = self.distance
-        deep = l < -(inside + r)
+        deep = l < -(inside + r) if self.local is None else (l < 0) & ~self.local.shallow
         deep &= ~spread((l > 0) & (l < np.inf))
-        return reduce_parts((np.abs(l) <= band + r) & ~deep, np.logical_or)
+        touched = np.abs(l) <= band + r if self.local is None else self.local.touched
+        return reduce_parts(touched & ~deep, np.logical_or)
+
+    def band_places(self, band: float, inside: float) -> np.ndarray:
+        """Those of `places` that lie in the band."""
+        l = self.distance.reshape(-1)[self.places]
+        return self.places[(l <= band) & (l >= -inside) if self.local is None else self.local.edge <= 0]
 
     def at_nodes(self, band: float, inside: float) -> np.ndarray:
         """About how far the grid's nodes are outside the band, (nx + 1, ny + 1, nz + 1) float32 metres,
         negative inside."""
-        outside = np.maximum(np.minimum(self.distance, 2 * band) - band, -self.distance - inside)
-        outside = np.where(np.isfinite(self.distance), outside, band)
+        if self.local is None:
+            outside = np.maximum(np.minimum(self.distance, 2 * band) - band, -self.distance - inside)
+            outside = np.where(np.isfinite(self.distance), outside, band)
+        else:
+            outside = np.full(self.distance.shape, band, np.float32)
+            outside.reshape(-1)[self.places] = np.minimum(self.local.edge, band)
         padded = np.pad(outside, 1, mode="edge")
         total = np.zeros([n + 1 for n in self.grid.shape], dtype=np.float32)
         nx, ny, nz = total.shape
@@ -106,20 +135,23 @@ class Distances:
         return total / 8
 
 
-def distances(surface: Surface, vertices: mi.Float, band: float, cell: float) -> Distances:
+def distances(surface: Surface, vertices: mi.Float, band: float, cell: float,
+              bands: Bands | None = None) -> Distances:
     """Samples the distance from a posed body on a grid around its band.
 
     Args:
         vertices: flat (3·V) posed positions in metres.
         band: the band's half width in metres.
         cell: the grid's spacing in metres.
+        bands: the widths where they vary; `band` then is the largest.
 
     Raises:
         InputError: the cells are so small that the body would take gigabytes.
     """
-    reach = band + math.sqrt(3.0) * cell / PARTS
+    diagonal = math.sqrt(3.0) * cell / PARTS
     with dr.suspend_grad():
-        posed = PosedSurface(surface, dr.detach(vertices), reach)
+        posed = PosedSurface(surface, dr.detach(vertices),
+                             band + diagonal if bands is None else bands.widened(diagonal))
         grid = Grid.around(posed.bbox.min.numpy().ravel(), posed.bbox.max.numpy().ravel(), cell)
         shape = tuple(PARTS * n for n in grid.shape)
         if math.prod(shape) > LARGEST:
@@ -127,22 +159,34 @@ def distances(surface: Surface, vertices: mi.Float, band: float, cell: float) ->
             many = f"{cell:g} m, which makes {' × '.join(map(str, grid.shape))} cells"
             raise InputError("cell", many, f"at least {least:.2g} m around this body")
         distance = np.full(shape, np.inf, dtype=np.float32)
-        places = []
+        places, edges = [np.zeros(0, np.uint32)], [np.zeros(0, np.float32)]
+        touched, shallow = (np.zeros(0 if bands is None else shape, bool) for _ in range(2))
         low, step = mi.Point3f(*(float(v) for v in grid.low)), cell / PARTS
         for start in range(0, distance.size, CHUNK):
             index = dr.arange(mi.UInt32, min(CHUNK, distance.size - start)) + dr.opaque(mi.UInt32, start)
-            near = dr.compress(posed.may_contain(_centre(index, shape, low, step)))
-            index = dr.gather(mi.UInt32, index, near)
+            x = _centre(index, shape, low, step)
+            if bands is None:
+                near = posed.may_contain(x)
+            else:
+                near, inner = posed.within_bands(x, bands, diagonal / 2)
+                dr.eval(near, inner)
+                touched.reshape(-1)[index.numpy()], shallow.reshape(-1)[index.numpy()] = near, inner
+            index = dr.gather(mi.UInt32, index, dr.compress(near))
             if not len(index):
                 continue
             x = _centre(index, shape, low, step)
             found = posed.project(x)
-            dr.eval(found.l, found.valid)
+            dr.eval(found.l, found.valid, found.band)
             some = found.valid.numpy()
             where = index.numpy()[some]
             distance.reshape(-1)[where] = found.l.numpy()[some]
             places.append(where)
-    return Distances(grid, distance, np.concatenate(places))
+            if bands is not None:
+                outside, inside = (width.numpy()[some] - diagonal for width in found.band)
+                l = found.l.numpy()[some]
+                edges.append(np.maximum(l - outside, -l - inside))
+    local = None if bands is None else Local(np.concatenate(edges), touched, shallow)
+    return Distances(grid, distance, np.concatenate(places), local)
 
 
 def reduce_parts(array: np.ndarray, combine: np.ufunc) -> np.ndarray:
@@ -193,7 +237,8 @@ def cut(inside: np.ndarray, smooth: np.ndarray, grid: Grid) -> tuple[np.ndarray,
 
 
 def band_shell(
-    surface: Surface, vertices: mi.Float, band: float, cell: float = 0.0125, inside: float | None = None
+    surface: Surface, vertices: mi.Float, band: float, cell: float = 0.0125, inside: float | None = None,
+    bands: Bands | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The boundary of a region that contains every point of the band of a posed body, −`inside` <= l <=
     `band`.
@@ -206,6 +251,7 @@ def band_shell(
         band: how far the band reaches outside, in metres.
         cell: the grid's spacing in metres.
         inside: how far it reaches into the body, in metres; `band` by default.
+        bands: the widths where they vary; `band` and `inside` then are the largest.
 
     Returns:
         vertices (N, 3) float32 and faces (M, 3) uint32, closed, normals pointing out of the region.
@@ -214,13 +260,14 @@ def band_shell(
         InputError: as by :func:`distances`.
     """
     inside = band if inside is None else inside
-    sampled = distances(surface, vertices, band, cell)
+    sampled = distances(surface, vertices, band, cell, bands)
     nodes = corners_of(sampled.band_cells(band, inside))
     return cut(nodes, sampled.at_nodes(band, inside) / cell, sampled.grid)
 
 
 def band_points(
-    surface: Surface, vertices: np.ndarray, band: float, inside: float, count: int, seed: int = 0
+    surface: Surface, vertices: np.ndarray, band: float, inside: float, count: int, seed: int = 0,
+    bands: Bands | None = None,
 ) -> np.ndarray:
     """(count, 3) random points offset from the body along its triangles' normals, −`inside` <= offset <=
     `band`; nearly all lie in its band.
@@ -228,13 +275,20 @@ def band_points(
     Args:
         vertices: (V, 3) posed positions in metres.
         band, inside: metres.
+        bands: the widths where they vary, instead of these.
     """
     import trimesh  # Registering the plugins must not import it.
 
     mesh = trimesh.Trimesh(vertices, surface.faces.numpy().reshape(-1, 3), process=False)
     rng = np.random.default_rng(seed)
     points, triangle = trimesh.sample.sample_surface(mesh, count, np.ones(len(mesh.faces)), seed=rng)
-    return np.asarray(points + mesh.face_normals[triangle] * rng.uniform(-inside, band, (count, 1)))
+    if bands is None:
+        along = rng.uniform(-inside, band, (count, 1))
+    else:
+        weights = trimesh.triangles.points_to_barycentric(mesh.triangles[triangle], points)
+        width = np.einsum("nk,nkd->nd", weights, bands.widths[mesh.faces[triangle]])
+        along = rng.uniform(-width[:, 1], width[:, 0])[:, None]
+    return np.asarray(points + mesh.face_normals[triangle] * along)
 
 
 def _centre(index: mi.UInt32, shape: tuple[int, ...], low: mi.Point3f, step: float) -> mi.Point3f:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ndf_mi.errors import InputError
 from ndf_mi.field.sample import FieldSample, Located
-from ndf_mi.projection import PosedSurface, Surface
+from ndf_mi.projection import Bands, PosedSurface, Surface
 from ndf_mi.render.bake import sample_nodes
 from ndf_mi.render.majorant import FLOOR
 from ndf_mi.render.ray_samples import VolumeField
@@ -44,6 +44,7 @@ class SparseGrid:
         vertices: flat (3·V), the posed body, in metres.
         reach: how far from the body the field may be anything but empty, in metres.
         cell: distance from one node to the next, metres.
+        bands: how far instead, where that varies over the body; `reach` then is the largest.
 
     Attributes:
         majorant: 1.05 times the density at the densest node, in 1/m, as interpolation exceeds no node.
@@ -57,7 +58,8 @@ class SparseGrid:
     """A lookup needs no more candidate samples than asked for."""
 
     def __init__(
-        self, volume: VolumeField, surface: Surface, vertices: mi.Float, reach: float, cell: float
+        self, volume: VolumeField, surface: Surface, vertices: mi.Float, reach: float, cell: float,
+        bands: Bands | None = None,
     ) -> None:
         self.cell = cell
         low, high = (np.array(corner, np.float64).ravel() for corner in (volume.bbox.min, volume.bbox.max))
@@ -69,7 +71,7 @@ class SparseGrid:
         self._low = mi.Point3f(*low.tolist())
         dr.make_opaque(self._low)
         with dr.suspend_grad():
-            candidates = self._candidates(surface, vertices, reach)
+            candidates = self._candidates(surface, vertices, reach, bands)
             if 4 * _NODES * len(candidates) > LARGEST:
                 fitting = cell * (4 * _NODES * len(candidates) / LARGEST) ** (1 / 3)
                 found = f"{cell:g} m, which takes {16e-9 * _NODES * len(candidates):.2g} GB"
@@ -126,11 +128,15 @@ class SparseGrid:
         bx, by, _ = self._shape
         return mi.Point3f(block % bx, block // bx % by, block // (bx * by))
 
-    def _candidates(self, surface: Surface, vertices: mi.Float, reach: float) -> np.ndarray:
+    def _candidates(self, surface: Surface, vertices: mi.Float, reach: float,
+                    bands: Bands | None) -> np.ndarray:
         """Flat indices of the blocks that come within `reach` of the surface, and of some nearby ones."""
         index = dr.arange(mi.UInt32, int(np.prod(self._shape)))
         centre = self._low + (0.5 + self._place(index)) * (SIDE * self.cell)
-        wide = PosedSurface(surface, dr.detach(vertices), reach + 0.5 * math.sqrt(3.0) * SIDE * self.cell)
+        half = 0.5 * math.sqrt(3.0) * SIDE * self.cell
+        wide = PosedSurface(surface, dr.detach(vertices), reach + half)
+        if bands is not None:
+            return np.flatnonzero(wide.within_bands(centre, bands, half)[0].numpy())
         return np.flatnonzero(wide.project(centre).valid.numpy())
 
     def _filled(self, volume: VolumeField, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

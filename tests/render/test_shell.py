@@ -9,7 +9,7 @@ import trimesh
 
 from ndf_mi.body.anny import load_anny
 from ndf_mi.body.motion import load_clip, pose_sequence
-from ndf_mi.projection import PosedSurface, Surface
+from ndf_mi.projection import Bands, PosedSurface, Surface
 from ndf_mi.render.shell import Grid, band_points, band_shell, corners_of, cut, reduce_parts, spread
 
 BAND, INSIDE, CELL = 0.06, 0.025, 0.02
@@ -108,6 +108,43 @@ def test_shell_is_closed_and_contains_the_band(name):
     faces_of_body = surface.faces.numpy().reshape(-1, 3)
     far = distance(points, posed, faces_of_body) > BAND + 2 * np.sqrt(3) * CELL
     assert not inside(vertices, faces, points[far]).any()
+
+
+def uneven(posed):
+    """(V, 2) widths that rise along x from a third of the largest to that."""
+    x = posed[:, :1].astype(np.float64)
+    return ((1 / 3 + 2 / 3 * (x - x.min()) / np.ptp(x)) * [BAND, INSIDE]).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_shell_follows_a_band_that_varies(name):
+    surface, posed = surface_of(BODIES[name])
+    widths = uneven(posed)
+    bands = Bands(surface, widths)
+    vertices, faces = band_shell(surface, mi.Float(posed.ravel()), BAND, CELL, INSIDE, bands)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
+
+    rng = np.random.default_rng(3)
+    points = rng.uniform(posed.min(0) - BAND, posed.max(0) + BAND, (20000, 3))
+    points = np.concatenate([points, band_points(surface, posed, BAND, INSIDE, 20000, seed=3, bands=bands)])
+    # The widths of the closest points, by libigl.
+    triangles = surface.faces.numpy().reshape(-1, 3).astype(np.int64)
+    squared, triangle, on = igl.point_mesh_squared_distance(points, posed.astype(np.float64), triangles)
+    corners = posed[triangles[triangle]].astype(np.float64)
+    weights = trimesh.triangles.points_to_barycentric(corners, np.asarray(on), method="cramer")
+    width = np.einsum("nk,nkd->nd", weights, widths[triangles[triangle]].astype(np.float64))
+    within = np.asarray(PosedSurface(surface, mi.Float(posed.ravel()), 1.0).project(
+        mi.Point3f(points.astype(np.float32).T)).l) < 0
+    band = np.sqrt(squared) < np.where(within, width[:, 1], width[:, 0]) - 1e-5
+    assert band.sum() > 2000 and inside(vertices, faces, points[band]).all()
+
+    # Farther than two cells' diagonals from all that any place reaches, nothing is inside. The widths at the
+    # closest place vary by less than the widths' slope times a distance.
+    slope = 2 / 3 * BAND / np.ptp(posed[:, 0])
+    room = 2 * np.sqrt(3) * CELL
+    far = np.sqrt(squared) > width[:, 0] + slope * BAND + room
+    assert far.sum() > 1000 and not inside(vertices, faces, points[far]).any()
 
 
 def test_what_lies_deep_in_the_body_is_left_out():
