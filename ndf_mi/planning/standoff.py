@@ -29,10 +29,12 @@ class Disagreement:
     Attributes:
         distance: (K,) metres, at least 0.
         cost: (K,) squared error in sRGB of leaving each out.
+        triangle: (K,) int, the body's triangle that the distance is from, -1 where it is above :data:`REACH`.
     """
 
     distance: np.ndarray
     cost: np.ndarray
+    triangle: np.ndarray
 
     def reach(self, allowed: float) -> float:
         """The smallest distance in metres beyond which all pixels together cost at most `allowed`."""
@@ -72,7 +74,8 @@ def standoff(capture: Capture, frames: Sequence[int], views: Sequence[View]) -> 
                   for view in views)
     # The mean squared difference of the performer from the background.
     contrast = squared / max(shown, 1)
-    outside, inside = [(np.zeros(0), np.zeros(0))], [(np.zeros(0), np.zeros(0))]
+    none = (np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
+    outside, inside = [none], [none]
     for row, frame in enumerate(frames):
         vertices = capture.poses.vertices[capture.poses.index(frame)]
         posed = PosedSurface(surface, mi.Float(vertices.ravel()), REACH)
@@ -80,23 +83,25 @@ def standoff(capture: Capture, frames: Sequence[int], views: Sequence[View]) -> 
             camera = cameras[view.camera]
             pixels = np.flatnonzero((view.mask & ~view.body).ravel())
             cost = np.mean((view.image.reshape(-1, 3)[pixels] - capture.background) ** 2, axis=1)
-            outside.append((np.maximum(_smallest_distance(posed, camera, pixels), 0), cost))
+            distance, triangle = _smallest_distance(posed, camera, pixels)
+            outside.append((np.maximum(distance, 0), cost, triangle))
             pixels = np.flatnonzero((view.body & ~view.mask).ravel())
-            depth = np.maximum(-_smallest_distance(posed, camera, pixels), 0)
-            inside.append((depth, np.full(len(pixels), contrast)))
+            distance, triangle = _smallest_distance(posed, camera, pixels)
+            inside.append((np.maximum(-distance, 0), np.full(len(pixels), contrast), triangle))
     return Standoff(_joined(outside), _joined(inside), shown)
 
 
-def _joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> Disagreement:
-    distance, cost = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return Disagreement(distance, cost)
+def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Disagreement:
+    return Disagreement(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
-def _smallest_distance(posed: PosedSurface, camera: Camera, pixels: np.ndarray) -> np.ndarray:
-    """(N,) smallest signed distance in metres along each pixel's ray; at most `REACH`."""
+def _smallest_distance(posed: PosedSurface, camera: Camera,
+                       pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) smallest signed distance in metres along each pixel's ray, at most `REACH`; and (N,) the triangle
+    that it is from, -1 where it is `REACH`."""
     low, high = (np.array(corner, dtype=np.float64).ravel() for corner in (posed.bbox.min, posed.bbox.max))
     share = (np.arange(_POINTS) + 0.5) / _POINTS
-    smallest = [np.zeros(0)]
+    smallest, triangles = [np.zeros(0)], [np.zeros(0, np.int64)]
     for first in range(0, len(pixels), _RAYS):
         y, x = np.divmod(pixels[first : first + _RAYS], camera.w)
         ray = camera.rays(mi.Point2f(mi.Float(x), mi.Float(y)) + 0.5)
@@ -107,6 +112,10 @@ def _smallest_distance(posed: PosedSurface, camera: Camera, pixels: np.ndarray) 
         t = near[:, None] + np.maximum(far - near, 0)[:, None] * share
         points = (origin[:, None] + t[..., None] * direction[:, None]).reshape(-1, 3)
         found = posed.project(mi.Point3f(np.ascontiguousarray(points.T, dtype=np.float32)))
-        distance = np.where(np.array(found.valid), np.array(found.l), REACH)
-        smallest.append(distance.reshape(-1, _POINTS).min(axis=1).astype(np.float64))
-    return np.concatenate(smallest)
+        valid = np.array(found.valid)
+        distance = np.where(valid, np.array(found.l), REACH).reshape(-1, _POINTS)
+        triangle = np.where(valid, np.array(found.triangle, np.int64), -1).reshape(-1, _POINTS)
+        least = distance.argmin(axis=1)[:, None]
+        smallest.append(np.take_along_axis(distance, least, 1)[:, 0].astype(np.float64))
+        triangles.append(np.take_along_axis(triangle, least, 1)[:, 0])
+    return np.concatenate(smallest), np.concatenate(triangles)

@@ -48,7 +48,8 @@ class Bands:
         self.typical = float(np.median(self.largest))
         self._flat = aligned(mi.Float(widths.ravel()))
         self._surface = surface
-        self.reach, self.reach_inside = (_over_nodes(surface, width) for width in (self.largest, widths[:, 1]))
+        self.reach = _over_nodes(surface, self.largest)
+        self.reach_inside = _over_nodes(surface, widths[:, 1])
 
     def widened(self, by: float) -> Bands:
         """The same with `by` metres more on either side."""

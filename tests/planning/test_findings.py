@@ -18,7 +18,8 @@ def test_masks_with_holes_do_not_widen_the_band() -> None:
     fine = Detail(0.01, 0.02, 0.01, {2: 1.0, 4: 1.0, 8: 1.0}, 1.0, 0.5)
 
     def about(outside: float, inside: float) -> Finding:
-        beside = [Disagreement(np.full(1000, depth), np.full(1000, 1.0)) for depth in (outside, inside)]
+        beside = [Disagreement(np.full(1000, depth), np.full(1000, 1.0), np.zeros(1000, int))
+                  for depth in (outside, inside)]
         return findings.about_band(Standoff(beside[0], beside[1], 5000), fine, settings, full)
 
     usual, hidden = about(0.02, 0.0), about(0.02, 0.2)

@@ -34,5 +34,6 @@ def test_the_stand_off_is_measured_to_a_pixel(capture: Capture, factor: float) -
 
 
 def test_distant_pixels_that_cost_little_are_ignored() -> None:
-    pixels = Disagreement(np.array([0.05, 0.01, 0.02, 0.01]), np.array([0.1, 0.5, 0.2, 0.5]))
+    pixels = Disagreement(np.array([0.05, 0.01, 0.02, 0.01]), np.array([0.1, 0.5, 0.2, 0.5]),
+                          np.zeros(4, int))
     assert [pixels.reach(allowed) for allowed in (0.0, 0.15, 0.3, 0.35, 2.0)] == [0.05, 0.02, 0.02, 0.01, 0.0]
