@@ -36,7 +36,7 @@ class Model:
         poses: the first gives the shape that the search tree is built for, and the number of joints.
         preset: the networks' architecture.
         bands: (V, 2) how far the band reaches outside and inside at each vertex, in metres, linear over
-            triangles; the largest are the preset's `band` and `band_inside`. None for these everywhere.
+            triangles; at most the preset's `band` and `band_inside`. None for these everywhere.
 
     Attributes:
         surface: the body's triangles, texture coordinates and search tree.
@@ -45,7 +45,7 @@ class Model:
         field: the networks' architecture.
 
     Raises:
-        InputError: `bands` has another shape, a width is not above 0, or the largest are not the preset's.
+        InputError: `bands` has another shape, or a width is not above 0 or larger than the preset's.
     """
 
     def __init__(self, body: Body, poses: Poses, preset: Preset, bands: np.ndarray | None = None) -> None:
@@ -53,9 +53,10 @@ class Model:
         self.bands = None if bands is None else Bands(self.surface, bands)
         if self.bands is not None:
             for name, largest in (("band", self.bands.outside), ("band_inside", self.bands.inside)):
-                if not np.isclose(largest, getattr(preset, name), rtol=1e-5, atol=0):
-                    raise InputError("bands", f"a largest width of {largest:g} m",
-                                     f"{getattr(preset, name):g} m, the preset's `{name}`")
+                # Widths are in single precision.
+                if largest > getattr(preset, name) * (1 + 1e-5):
+                    raise InputError("bands", f"a width of {largest:g} m",
+                                     f"at most {getattr(preset, name):g} m, the preset's `{name}`")
         self.coordinates = Coordinates(preset, body, poses)
         self.field = Field(preset, poses.pose.shape[1])
 

@@ -166,7 +166,7 @@ def test_a_constant_width_renders_as_a_band_of_one_width(make_run):
 
 
 def test_bands_wider_than_the_preset_are_refused(make_run):
-    with pytest.raises(InputError, match=r"largest width of 0\.09 m.*`band`"):
+    with pytest.raises(InputError, match=r"a width of 0\.09 m.*`band`"):
         make_run(bands=uneven(0.09))
     with pytest.raises(InputError, match=r"`band_inside`"):
-        make_run(bands=uneven(inside=0.02))
+        make_run(bands=uneven(inside=0.04))
