@@ -70,10 +70,10 @@ def place_bands(rest: np.ndarray, faces: np.ndarray, found: Standoff, allowed_er
     area = _vertex_areas(rest, faces)
     near = _neighbourhoods(rest)
     allowed = allowed_error * found.pixels * (near @ area) / max(area.sum(), 1e-30)
-    reached = [_reach(part, faces, len(rest), near, allowed) for part in (found.outside, found.inside)]
-    if residual is not None:
-        reached = [part + np.maximum(residual, 0) for part in reached]
-    needed = np.maximum(widths(*(np.minimum(part, REACH) for part in reached), half, full), LEAST)
+    off = 0 if residual is None else np.maximum(residual, 0)
+    outside, inside = (np.minimum(_reach(part, faces, len(rest), near, allowed) + off, REACH)
+                       for part in (found.outside, found.inside))
+    needed = np.maximum(widths(outside, inside, half, full), LEAST)
     spread = np.stack([spread_out(rest, faces, width) for width in needed.T], axis=1)
     # Spreading may leave a place deeper than what is not penalised outside of it.
     spread[:, 0] = np.maximum(spread[:, 0], spread[:, 1] / USABLE)

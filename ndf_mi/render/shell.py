@@ -169,6 +169,8 @@ def distances(surface: Surface, vertices: mi.Float, band: float, cell: float,
                 near = posed.may_contain(x)
             else:
                 near, inner = posed.within_bands(x, bands, diagonal / 2)
+                # The box is tighter than leaves, which have one width, and ends before the grid.
+                near &= posed.bbox.contains(x)
                 dr.eval(near, inner)
                 touched.reshape(-1)[index.numpy()], shallow.reshape(-1)[index.numpy()] = near, inner
             index = dr.gather(mi.UInt32, index, dr.compress(near))
