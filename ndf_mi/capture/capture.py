@@ -92,6 +92,10 @@ class Capture:
         matte = read_matte(file, (raw.w, raw.h))
         return matte if raw.is_pinhole else undistort_matte(matte, raw)
 
+    def files(self, camera: str, frame: int) -> tuple[Path, Path]:
+        """The files of an image and of its mask. Raises InputError if there is no such camera or frame."""
+        return self._found(camera, frame)[1:]
+
     def known_lighting(self) -> Path:
         """`lighting`, if it is known.
 

@@ -11,10 +11,12 @@ from scipy.ndimage import binary_dilation
 
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
+from ndf_mi.capture.agreement import ViewAgreement, image_issue, mask_issues
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture, frame_issues
 from ndf_mi.capture.document import Document, parse_document
-from ndf_mi.capture.images import read_image, read_matte
+from ndf_mi.capture.images import read_image, read_matte, undistort_matte
+from ndf_mi.capture.silhouette import Silhouettes
 from ndf_mi.errors import InputError
 
 #: Largest difference, in sRGB, between the background and a pixel outside the mask: three 8-bit steps.
@@ -28,8 +30,9 @@ and mask do not belong together."""
 def problems(path: str | os.PathLike[str]) -> list[InputError]:
     """All issues of the capture in the folder ``path``, each with its file and key.
 
-    Besides what the reader refuses, these are images whose background is not the declared one, and bodies off
-    their mask, which show a wrong unit, axis or frame number.
+    Besides what the reader refuses, these are images whose background is not the declared one, and bodies,
+    masks and images that do not belong together (``ndf_mi.capture.agreement``), which show a wrong unit, axis
+    or frame number. Needs a Mitsuba variant.
     """
     folder = Path(path)
     document, found = parse_document(folder)
@@ -46,9 +49,11 @@ def problems(path: str | os.PathLike[str]) -> list[InputError]:
         return found
     if poses is not None:
         found += frame_issues(folder, document, poses)
+    drawn = None if body is None or poses is None else Silhouettes(body.faces, poses.vertices.shape[1])
+    views: list[ViewAgreement] = []
     for camera, frame in document.images():
-        found += _image_issues(folder, document, poses, camera, frame)
-    return found
+        found += _image_issues(folder, document, poses, camera, frame, drawn, views)
+    return found + mask_issues(views, folder)
 
 
 def summary(capture: Capture) -> str:
@@ -70,8 +75,10 @@ def summary(capture: Capture) -> str:
 
 
 def _image_issues(
-    folder: Path, document: Document, poses: Poses | None, camera_name: str, frame: int
+    folder: Path, document: Document, poses: Poses | None, camera_name: str, frame: int,
+    silhouettes: Silhouettes | None, views: list[ViewAgreement],
 ) -> list[InputError]:
+    """The issues of one image. Appends to `views` how body and mask agree, if both are there."""
     camera = document.cameras[camera_name]
     found: list[InputError] = []
 
@@ -100,7 +107,19 @@ def _image_issues(
                 f"{ON_MASK:.0%} or more",
                 "Check units (metres), the camera's axes (OpenGL) and the frame's number in poses.npz.",
             ))
+        elif silhouettes is not None:
+            silhouettes.pose(poses.vertices[poses.index(frame)])
+            views.append(ViewAgreement.of(mask_file, f"camera {camera_name}, frame {frame}",
+                                          undistorted(mask, camera), silhouettes.draw(camera.pinhole())))
+    if image is not None and mask is not None:
+        issue = image_issue(image_file, image, mask, np.array(document.background, dtype=np.float32))
+        found += [] if issue is None else [issue]
     return found
+
+
+def undistorted(mask: np.ndarray, camera: Camera) -> np.ndarray:
+    """(h, w) bool as seen by ``camera.pinhole()``."""
+    return mask if camera.is_pinhole else undistort_matte(mask.astype(np.float32), camera) > 0
 
 
 def fraction_on_mask(camera: Camera, vertices: np.ndarray, mask: np.ndarray) -> float:

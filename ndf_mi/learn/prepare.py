@@ -11,6 +11,7 @@ import numpy as np
 
 from ndf_mi.body.body import Body
 from ndf_mi.body.poses import Poses
+from ndf_mi.capture.agreement import check_agreement
 from ndf_mi.capture.capture import Capture
 from ndf_mi.field import Preset
 from ndf_mi.learn.options import TrainingOptions
@@ -69,8 +70,11 @@ def reference(capture: Capture, options: TrainingOptions, show: Show = lambda te
     number of steps, so that they repeat exactly.
 
     Raises:
-        InputError: the images do not show the body; see `fit_reference`.
+        InputError: body, masks and images do not belong together (`check_agreement`), or the images do not
+            show the body (`fit_reference`).
     """
+    show("comparing body, masks and images")
+    check_agreement(capture)
     body = capture.body
     if options.atlas == "one-piece":
         from ndf_mi.body.atlas import with_one_piece  # needs packages that other trainings do not
