@@ -18,9 +18,12 @@ from ndf_mi.optional import require
 SSIM_WINDOW = 7
 TEMPORAL = "box_tpsnr"
 """The key of temporal PSNR, which is defined for a sequence; all other metrics are defined for an image."""
+MATCHED = "box_psnr_matched"
+"""The key of box PSNR after the best affine map of colour for each image."""
 LABELS = {
-    "box_psnr": "Box PSNR (dB)", "box_ssim": "Box SSIM, data_range 1",
-    "box_ssim_range2": "Box SSIM, data_range 2", "box_flip": "Box FLIP", TEMPORAL: "Box tPSNR (dB)",
+    "box_psnr": "Box PSNR (dB)", MATCHED: "Box PSNR, colours matched (dB)",
+    "box_ssim": "Box SSIM, data_range 1", "box_ssim_range2": "Box SSIM, data_range 2",
+    "box_flip": "Box FLIP", TEMPORAL: "Box tPSNR (dB)",
     "psnr": "Whole-image PSNR (dB)", "ssim": "Whole-image SSIM, data_range 1",
 }
 IMAGE_METRICS = tuple(name for name in LABELS if name != TEMPORAL)
@@ -58,6 +61,23 @@ def psnr(truth: np.ndarray, image: np.ndarray, mask: np.ndarray | None = None) -
         raise ValueError("PSNR over an empty mask")
     error = float(np.mean(difference**2))
     return math.inf if error == 0 else -10 * math.log10(error)
+
+
+def match_colours(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """The image after the affine map of colour that brings it closest to the truth over the pixels of `mask`.
+
+    A (3, 3) and b (3,) minimise the sum of |A·c + b − t|² over these pixels, in sRGB; where several do, as
+    for an image of one colour, the smallest. (h, w, 3) float64, not cut to [0, 1].
+
+    Raises:
+        ValueError: the shapes differ, or the mask is empty.
+    """
+    _same_shape(truth, image)
+    if not mask.any():
+        raise ValueError("colours matched over an empty mask")
+    with_one = np.concatenate([image, np.ones((*image.shape[:2], 1))], axis=-1).astype(np.float64)
+    affine = np.linalg.lstsq(with_one[mask], truth[mask].astype(np.float64), rcond=None)[0]
+    return with_one @ affine
 
 
 def temporal_psnr(
@@ -134,6 +154,7 @@ def measure(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> dict[str,
     rectangle = bounding_rectangle(mask)
     if rectangle is not None:
         found["box_psnr"] = psnr(truth, image, mask)
+        found[MATCHED] = psnr(truth, match_colours(truth, image, mask), mask)
         found["box_flip"] = float(flip_map(truth, image)[rectangle].mean())
         if min(mask[rectangle].shape) >= SSIM_WINDOW:
             found["box_ssim"] = box_ssim(truth, image, mask)

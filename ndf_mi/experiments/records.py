@@ -62,7 +62,8 @@ class Measured(Struct, tag="image", tag_field="kind"):
     Attributes:
         view: which image.
         seconds: the time that rendering took.
-        figures: metrics by the keys of `metrics.IMAGE_METRICS`; None where a metric is undefined.
+        figures: metrics by the keys of `metrics.IMAGE_METRICS`; None where a metric is undefined. Older
+            files lack `metrics.MATCHED`.
         sampled: whether the image counts in the split's means. Images that only a sequence needs do not.
         noise: PSNR in dB that the sampling noise of the method's pictures would have by itself; None where
             there is none.
@@ -117,7 +118,12 @@ class MethodResult(Struct):
             known = (flicker for flicker in self.flicker if flicker.sequence.split == split)
             return metrics.average([value for flicker in known for value in flicker.tpsnr])
         images = (image for image in self.images if image.sampled and image.view.split == split)
-        return metrics.average([image.figures[metric] for image in images])
+        return metrics.average([image.figures.get(metric) for image in images])
+
+    @property
+    def camera_colours(self) -> bool:
+        """Whether a map of colour was trained for each camera, which held-out cameras do not have."""
+        return bool((self.metadata.get("training") or {}).get("camera_colours"))
 
     def seconds_an_image(self) -> float | None:
         """The median over all images, so that kernel compilation in the first few does not count."""

@@ -51,9 +51,13 @@ def write_report(path: str | os.PathLike[str], results: Results, capture: Captur
 
 
 def headline(results: Results, splits: Sequence[str]) -> Table:
-    """The figures that the protocol puts first, on these splits."""
+    """The figures that the protocol puts first, on these splits; after box PSNR also that with matched
+    colours, if a method was trained with a map of colour for each camera."""
     groups = [(SPLITS[split].capitalize(), results, split) for split in splits]
-    return tables.comparison(groups, results.about["protocol"]["headline"])
+    keys = list(results.about["protocol"]["headline"])
+    if any(method.camera_colours for method in results.methods) and "box_psnr" in keys:
+        keys.insert(keys.index("box_psnr") + 1, metrics.MATCHED)
+    return tables.comparison(groups, keys)
 
 
 def notes(results: Results) -> list[str]:
@@ -86,4 +90,7 @@ def _full_table(results: Results, split: str) -> Table:
     images = tables.count(results.about["measured"][split], "image")
     caption = f"{SPLITS[split].capitalize()}, means over {images}"
     caption += f"; tPSNR over {tables.count(pairs, 'pair')} of frames" if pairs else ""
-    return tables.comparison([("", results, split)], tuple(metrics.LABELS), caption)
+    # Comparisons of older versions did not match colours.
+    old = all(method.mean(split, metrics.MATCHED) is None for method in results.methods)
+    keys = [key for key in metrics.LABELS if not (old and key == metrics.MATCHED)]
+    return tables.comparison([("", results, split)], keys, caption)

@@ -14,7 +14,7 @@ from ndf_mi.experiments import metrics
 from ndf_mi.experiments.records import Results
 
 #: Decimals of a metric where they are not four.
-DECIMALS = {"box_psnr": 2, "box_tpsnr": 2, "psnr": 2}
+DECIMALS = {"box_psnr": 2, metrics.MATCHED: 2, "box_tpsnr": 2, "psnr": 2}
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,27 @@ def test_psnr_by_hand():
     assert metrics.psnr(truth, image, np.array([[True, False]])) == pytest.approx(24.7712125)
 
 
+def test_matched_colours_undo_an_affine_map_and_nothing_else(pair):
+    """An exact map is undone; in general the rest of the error does not correlate with the colours."""
+    truth, image = pair
+    mask = np.zeros(truth.shape[:2], bool)
+    mask[4:20, 3:25] = True
+    mixed = truth @ np.array([[0.8, 0.1, 0.0], [0.0, 1.2, 0.05], [0.1, 0.0, 0.7]]) + [0.02, -0.1, 0.05]
+    np.testing.assert_allclose(metrics.match_colours(truth, mixed, mask), truth, atol=1e-6)
+    rest = (metrics.match_colours(truth, image, mask) - truth)[mask]
+    np.testing.assert_allclose(rest.mean(0), 0, atol=1e-10)
+    np.testing.assert_allclose(image[mask].T.astype(np.float64) @ rest, 0, atol=1e-7)
+    figures = metrics.measure(truth, image, mask)
+    assert figures[metrics.MATCHED] == pytest.approx(-10 * math.log10((rest**2).mean()))
+    assert figures[metrics.MATCHED] > figures["box_psnr"]
+
+
+def test_matched_colours_of_one_colour_are_the_truths_mean(pair):
+    mask = np.ones(pair[0].shape[:2], bool)
+    matched = metrics.match_colours(pair[0], np.full_like(pair[0], 0.5), mask)
+    np.testing.assert_allclose(matched, np.broadcast_to(pair[0].mean((0, 1)), matched.shape), atol=1e-6)
+
+
 def test_temporal_psnr_by_hand():
     # One row of three pixels, one channel; the third pixel is outside the box.
     #   truth  0.2 0.5 0.0  →  0.4 0.5 1.0    change +0.2  0.0

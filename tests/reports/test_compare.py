@@ -3,6 +3,7 @@
 import pytest
 from parsed_page import ParsedPage
 
+from ndf_mi.experiments import metrics
 from ndf_mi.reports.compare import headline, write_report
 
 
@@ -48,6 +49,21 @@ def test_figures_and_circumstances_are_printed(page):
 def test_the_protocol_leads_the_table(results, page):
     assert headline(results, ["novel_view"]).columns == ("Box PSNR (dB)", "Box FLIP")
     assert page.tables[0][1] == ["Method", *2 * ["Box PSNR (dB)", "Box FLIP"]]
+
+
+def test_matched_colours_lead_only_after_training_with_camera_colours(results, truth, tmp_path):
+    results.methods[1].metadata["training"] = {"camera_colours": True}
+    columns = headline(results, ["novel_view"]).columns
+    assert columns == ("Box PSNR (dB)", "Box PSNR, colours matched (dB)", "Box FLIP")
+
+
+def test_older_comparisons_have_no_matched_colours(results, truth, tmp_path):
+    write_report(tmp_path / "report.html", results, truth, tmp_path)
+    assert "colours matched" in ParsedPage(tmp_path / "report.html").text
+    for image in (image for method in results.methods for image in method.images):
+        image.figures.pop(metrics.MATCHED)
+    write_report(tmp_path / "report.html", results, truth, tmp_path)
+    assert "colours matched" not in ParsedPage(tmp_path / "report.html").text
 
 
 def test_without_sequences_and_curves_their_parts_are_left_out(results, truth, tmp_path):
