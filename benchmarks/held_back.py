@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -83,21 +84,29 @@ def main(options: Options) -> None:
         columns = [f"{name}{suffix}" for suffix in ("", *(f", {weight:g}" for weight in options.average))
                    for name in rays]
         print("step | " + " | ".join(columns), flush=True)
-        table, steps = [], []
+        table, steps, seconds, measuring = [], [], [], []
         every = math.ceil(options.steps / options.moments)
         while trainer.done < 1:
+            begun = time.perf_counter()
             trainer.step()
+            dr.sync_thread()
+            seconds.append(time.perf_counter() - begun)
             averages = [(weight, mixed(before, trainer.parameters.detached(), weight))
                         for weight, before in averages]
             taken = trainer.progress.step
             if taken % every and trainer.done < 1:
                 continue
+            begun = time.perf_counter()
+            mean_error(rays["held-back views"], step.image_error, trainer.parameters)
+            measuring.append(time.perf_counter() - begun)
             row = [-10 * math.log10(mean_error(batches, step.image_error, parameters))
                    for parameters in (trainer.parameters, *(average for _, average in averages))
                    for batches in rays.values()]
             table.append(row)
             steps.append(taken)
             print(f"{taken} | " + " | ".join(f"{value:.2f}" for value in row), flush=True)
+    print(f"a step takes {np.median(seconds):.3f} s, rendering the held-back views "
+          f"{np.median(measuring):.3f} s")
     report(columns, len(rays), np.array(table), steps)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ndf_mi.capture.camera import box_pixels, pixel_rays
 from ndf_mi.capture.capture import Capture
+from ndf_mi.errors import InputError
 from ndf_mi.field import FieldParameters
 from ndf_mi.learn.batch import Batch, drawing_box
 from ndf_mi.learn.options import TrainingOptions
@@ -94,9 +95,15 @@ def view_rays(run: Run, capture: Capture, options: TrainingOptions, camera: str,
         run: its poses are those of the reference surface.
         camera, frame: of the image.
         count: number of rays, or of the box's pixels if these are fewer.
+
+    Raises:
+        InputError: the camera does not see the box.
     """
     lens = capture.cameras[camera]
     box = box_pixels(lens, *drawing_box(capture, run.poses, frame, options.box_padding))
+    if not box.any():
+        raise InputError(f"camera {camera}, frame {frame}", "no pixel of the performer in view",
+                         "a camera that sees the body")
     pixels = rng.permutation(np.flatnonzero(box))[:count].astype(np.uint32)
     origin, direction = (each.astype(np.float32) for each in pixel_rays(lens, pixels))
     target = capture.image(camera, frame).reshape(-1, 3)[pixels].T.astype(np.float32)
