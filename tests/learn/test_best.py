@@ -62,6 +62,23 @@ def test_the_best_survives_a_checkpoint(capture, tmp_path):
         assert (again.run.parameters.arrays()[name] != values).any()
 
 
+def test_refused_steps_leave_the_best_alone(capture, tmp_path, poison):
+    """The optimisers return to a snapshot from before the best was measured."""
+    trainer = start(tmp_path / "run", capture, TINY, OPTIONS)
+    poison(trainer, range(53, 56))
+    while trainer.progress.step < 52:
+        trainer.step()
+    trainer.publish()
+    before = trainer.run.parameters.arrays()
+    while trainer.progress.step < 56:
+        trainer.step()
+    trainer.publish()
+    now = trainer.progress
+    assert (now.steps_refused, now.kept_step, now.held_back_step) == (3, 50, 50)
+    for name, values in before.items():
+        np.testing.assert_array_equal(trainer.run.parameters.arrays()[name], values)
+
+
 def test_nothing_is_kept_without_held_back_views(capture, tmp_path):
     options = dataclasses.replace(OPTIONS, steps=2, held_back=0.0)
     trainer = start(tmp_path / "run", capture, TINY, options)
