@@ -98,20 +98,24 @@ def _image_issues(
             declared = f"{list(document.background)}, within {_BACKGROUND_TOLERANCE:.3f}"
             differing = f"pixels outside the mask that differ from the background by up to {difference:.3f}"
             found.append(InputError(image_file, differing, f"the background in capture.json, {declared}"))
-    if mask is not None and poses is not None and frame in poses.frames:
-        share = fraction_on_mask(camera, poses.vertices[poses.index(frame)], mask)
-        if share < ON_MASK:
+    view = None
+    if mask is not None and silhouettes is not None and poses is not None and frame in poses.frames:
+        vertices = poses.vertices[poses.index(frame)]
+        silhouettes.pose(vertices)
+        view = ViewAgreement.of(mask_file, f"camera {camera_name}, frame {frame}", undistorted(mask, camera),
+                                silhouettes.draw(camera.pinhole()))
+        share = fraction_on_mask(camera, vertices, mask)
+        if view.issue is not None or share >= ON_MASK:
+            views.append(view)
+        else:
             found.append(InputError(
                 mask_file,
                 f"only {share:.0%} of the body's vertices in camera {camera_name} on the mask",
                 f"{ON_MASK:.0%} or more",
                 "Check units (metres), the camera's axes (OpenGL) and the frame's number in poses.npz.",
             ))
-        elif silhouettes is not None:
-            silhouettes.pose(poses.vertices[poses.index(frame)])
-            views.append(ViewAgreement.of(mask_file, f"camera {camera_name}, frame {frame}",
-                                          undistorted(mask, camera), silhouettes.draw(camera.pinhole())))
-    if image is not None and mask is not None:
+    # Where the mask is wrong for itself, the image cannot match it.
+    if image is not None and mask is not None and (view is None or view.issue is None):
         issue = image_issue(image_file, image, mask, np.array(document.background, dtype=np.float32))
         found += [] if issue is None else [issue]
     return found
