@@ -24,7 +24,7 @@ from scipy.sparse.linalg import splu
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.surface.contours import NEARER, SIDE, Contours, ContourSamples, projection_vjp
-from ndf_mi.surface.degenerate import repair
+from ndf_mi.surface.degenerate import degenerate_triangles, repair
 from ndf_mi.surface.outline_views import Views
 from ndf_mi.surface.rest_frames import RestFrames
 from ndf_mi.surface.silhouettes import Silhouettes, agreement
@@ -50,6 +50,15 @@ RESIDUAL_LENGTH = 0.03
 
 TIKHONOV = 1e-6
 """Share of the vertices' areas in the weights: pieces of surface that no outline passes stay solvable."""
+
+PINNINGS = 6
+"""How often a round pins the vertices of triangles that its update would make degenerate, and solves again.
+The update then fades towards them. `repair` alone lets most of the surface return for the sake of a few:
+where moved and returned vertices meet, other triangles become degenerate.
+"""
+
+PIN = 1e6
+"""Weight of a pinned vertex, in vertices of average weight."""
 
 STEP = 0.5
 """Pixels between the places where a normal is searched for the mask's outline."""
@@ -102,8 +111,14 @@ class OutlineFit:
         """
         found = self.measure(views)
         pull = SMOOTH**2 * (self._stiffness @ self.offsets)
-        update = self._solve(found.weight, length, OVER * found.move, pull)
-        self.offsets = repair(self._rest.vertices, self.offsets + update, self._faces, self.offsets)
+        pinned = np.zeros(len(self.offsets), dtype=bool)
+        for _ in range(PINNINGS + 1):
+            moved = self.offsets + self._solve(found.weight, length, OVER * found.move, pull, pinned)
+            bad = degenerate_triangles(self._rest.vertices, moved, self._faces)
+            if not bad.any():
+                break
+            pinned[self._faces[bad]] = True
+        self.offsets = repair(self._rest.vertices, moved, self._faces, self.offsets)
 
     def check(self, views: Views) -> tuple[float, np.ndarray]:
         """`agreement`, and the residual: (V,) metres, the root mean square distance between the outlines of
@@ -125,8 +140,8 @@ class OutlineFit:
         return agreement(silhouettes, masks)
 
     def _solve(self, weight: np.ndarray, length: float, values: np.ndarray,
-               pull: np.ndarray | float = 0.0) -> np.ndarray:
-        """(V, k) solution x of (W + (length² + SMOOTH²) C) x = values - pull.
+               pull: np.ndarray | float = 0.0, pinned: np.ndarray | None = None) -> np.ndarray:
+        """(V, k) solution x of (W + (length² + SMOOTH²) C) x = values - pull, zero where `pinned`.
 
         Weights and values are scaled so that the weights sum to the surface's area: lengths then have their
         meaning on the average vertex.
@@ -136,7 +151,10 @@ class OutlineFit:
             return np.zeros(values.shape)
         scale = self._areas.sum() / total
         stiffness = (length**2 + SMOOTH**2) * self._stiffness
-        matrix = sparse.csc_matrix(sparse.diags(scale * weight + TIKHONOV * self._areas) + stiffness)
+        diagonal = scale * weight + TIKHONOV * self._areas
+        if pinned is not None:
+            diagonal = np.where(pinned, PIN * self._areas.mean(), diagonal)
+        matrix = sparse.csc_matrix(sparse.diags(diagonal) + stiffness)
         factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         return np.asarray(factors.solve(np.ascontiguousarray(scale * values - pull)))
 

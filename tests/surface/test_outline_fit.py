@@ -93,3 +93,21 @@ def test_samples_are_bilinear_between_pixels_centres():
     image = np.float32([[0, 1], [2, 3]])
     np.testing.assert_allclose(sampled(image, np.array([[0.5, 0.5], [1.0, 1.0], [1.5, 0.75]])), [0, 1.5, 1.5])
     assert sampled(image, np.array([[-3.0, 0.5]])) == 0
+
+
+def test_degenerate_triangles_hold_back_their_surroundings_alone(shrunk_capture, large_camera):
+    # A ray of a star, narrower than its triangles, would fold those at its sides.
+    matte = disc(large_camera, 0.45)
+    middle = large_camera.project(np.zeros((1, 3)))[0].astype(int)
+    matte[: middle[1], middle[0] - 2 : middle[0] + 2] = 1
+    rest, faces = RestFrames(shrunk_capture), shrunk_capture.body.faces
+    fit = OutlineFit(rest, faces, 0)
+    frame = shrunk_capture.splits["train"].frames[0]
+    for _ in range(8):
+        fit.step({frame: [(large_camera, matte)]}, 0.02)
+    assert not degenerate_triangles(rest.vertices, fit.offsets, faces).any()
+    assert np.linalg.norm(fit.offsets, axis=1).max() > 0.03
+    before = fit.offsets.copy()
+    fit.step({frame: [(large_camera, disc(large_camera, 0.5))]}, 0.1)
+    assert (np.linalg.norm(fit.offsets - before, axis=1) > 2e-3).mean() > 0.8
+    assert not degenerate_triangles(rest.vertices, fit.offsets, faces).any()
