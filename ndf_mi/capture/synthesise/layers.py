@@ -15,6 +15,21 @@ from ndf_mi.capture.synthesise.surface import averaging, clip, loop_subdivision
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A picture on a surface.
+
+    Attributes:
+        colour: (h, w, 3) float32 linear reflectance in [0, 1].
+        wrap: beyond [0, 1]: ``repeat``, ``mirror`` or ``clamp``.
+        opaque: (h, w) float32, 1 where there is a surface and 0 where there is none; None: everywhere.
+    """
+
+    colour: np.ndarray
+    wrap: str = "repeat"
+    opaque: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
 class Layer:
     """One surface of the performer at rest, N vertices and F triangles.
 
@@ -29,6 +44,8 @@ class Layer:
         slack: (N,) metres by which folding cloth sinks where it hangs from a limb that is not vertical.
         folds: its wrinkles, displacements along the normal, or None.
         drape: how it hangs from its first vertices, one a column of the drape; without one, it is skinned.
+        uv: (N, 2) places in the picture, v downwards.
+        picture: its colour in place of ``colour``, or None.
     """
 
     name: str
@@ -41,6 +58,8 @@ class Layer:
     slack: np.ndarray | float = 0.0
     folds: Folds | None = None
     drape: Drape | None = None
+    uv: np.ndarray | None = None
+    picture: Picture | None = None
 
 
 @dataclass(frozen=True)

@@ -115,23 +115,29 @@ def write(folder: Path, name: str = DEFAULT) -> str:
     return SCENE
 
 
-_COLOUR = {"type": "mesh_attribute", "name": "vertex_color"}
+#: The colour of a surface by the mesh attribute ``vertex_color``.
+COLOUR = {"type": "mesh_attribute", "name": "vertex_color"}
 
 
 def _glossy(roughness: float, specular: float) -> dict[str, Any]:
-    return {"type": "principled", "base_color": _COLOUR, "roughness": roughness, "specular": specular}
+    return {"type": "principled", "roughness": roughness, "specular": specular}
 
 
-def _twosided(bsdf: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "twosided", "bsdf": bsdf}
-
-
-#: BSDFs by material, coloured by the mesh attribute ``vertex_color``. Open surfaces have two sides.
+#: BSDFs by material, without their colour.
 MATERIALS: dict[str, dict[str, Any]] = {
-    "cloth": _twosided({"type": "diffuse", "reflectance": _COLOUR}),
-    "leather": _twosided(_glossy(0.45, 0.5)),
-    "skin": _twosided(_glossy(0.5, 0.4)),
-    "hair": _twosided(_glossy(0.4, 0.5)),
+    "cloth": {"type": "diffuse"},
+    "leather": _glossy(0.45, 0.5),
+    "skin": _glossy(0.5, 0.4),
+    "hair": _glossy(0.4, 0.5),
     "eye": _glossy(0.15, 0.5),
-    "glossy": _twosided(_glossy(0.3, 0.8)),
+    "glossy": _glossy(0.3, 0.8),
 }
+_CLOSED = ("eye",)
+
+
+def material(name: str, colour: dict[str, Any] = COLOUR) -> dict[str, Any]:
+    """The BSDF of a material in a colour, a dictionary for a Mitsuba texture. Open surfaces have two
+    sides."""
+    bsdf = MATERIALS[name]
+    bsdf = {**bsdf, "reflectance" if bsdf["type"] == "diffuse" else "base_color": colour}
+    return bsdf if name in _CLOSED else {"type": "twosided", "bsdf": bsdf}

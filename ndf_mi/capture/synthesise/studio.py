@@ -11,10 +11,12 @@ from scipy.ndimage import maximum_filter
 
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.synthesise import lighting
-from ndf_mi.capture.synthesise.layers import Layer
-from ndf_mi.mitsuba_mesh import make_mesh, set_vertices
+from ndf_mi.capture.synthesise.layers import Layer, Picture
+from ndf_mi.mitsuba_mesh import make_mesh, set_normals, set_vertices
 
 _MAX_DEPTH = 3
+#: Holes that a ray can pass through, which Mitsuba counts as bounces.
+_HOLES = 6
 
 
 class Studio:
@@ -33,20 +35,29 @@ class Studio:
                   for name, layer in zip(self._meshes, layers, strict=True)}
         self.scene = mi.load_dict(scene)
         self._parameters = mi.traverse(self.scene)
-        self.integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH,
+        holes = any(layer.picture is not None and layer.picture.opaque is not None for layer in layers)
+        self.integrator = mi.load_dict({"type": "path", "max_depth": _MAX_DEPTH + _HOLES * holes,
                                          "hide_emitters": not self._light.flat})
         self._sampler = mi.load_dict({"type": "multijitter", "sample_count": spp})
         self._points = np.empty((0, 3))
         self._edge = 0.0
 
-    def pose(self, layers: Sequence[np.ndarray], heading: float = 0.0) -> None:
-        """Moves the layers to world vertices, (N, 3) each; a carried light turns to `heading`, radians."""
+    def pose(self, layers: Sequence[np.ndarray], heading: float = 0.0,
+             normals: Sequence[np.ndarray] | None = None) -> None:
+        """Moves the layers to world vertices, (N, 3) each; a carried light turns to `heading`, radians.
+
+        ``normals``, (N, 3) each, replace the means of adjacent triangles.
+        """
         if self._light.carried:
             turn = mi.Transform4f().rotate([0, 1, 0], float(np.degrees(heading)))
             self._parameters["light.to_world"] = turn
         for name, vertices in zip(self._meshes, layers, strict=True):
             set_vertices(self._parameters, vertices, name)
         self._parameters.update()
+        if normals is not None:
+            for name, directions in zip(self._meshes, normals, strict=True):
+                set_normals(self._parameters, directions, name)
+            self._parameters.update()
         self._points = np.concatenate(list(layers))
         corners = [points[faces] for points, faces in zip(layers, self._meshes.values(), strict=True)]
         edges = (((c - np.roll(c, 1, axis=1)) ** 2).sum(axis=-1).max() for c in corners)
@@ -88,11 +99,21 @@ class Studio:
 
 def _mesh(name: str, layer: Layer, flat: bool) -> mi.Mesh:
     properties = mi.Properties()
+    colour = lighting.COLOUR
+    if layer.picture is not None:
+        values = layer.picture.colour
+        if flat and layer.picture.opaque is not None:
+            values = values * layer.picture.opaque[..., None]  # holes would glow too
+        colour = _bitmap(layer.picture, values)
+    bsdf = {"type": "diffuse", "reflectance": 0.0} if flat else lighting.material(layer.material, colour)
     if flat:
-        properties["bsdf"] = mi.load_dict({"type": "diffuse", "reflectance": 0.0})
-        properties["emitter"] = mi.load_dict({"type": "area",
-                                              "radiance": {"type": "mesh_attribute", "name": "vertex_color"}})
-    else:
-        properties["mesh_bsdf"] = mi.load_dict(lighting.MATERIALS[layer.material])
+        properties["emitter"] = mi.load_dict({"type": "area", "radiance": colour})
+    if layer.picture is not None and layer.picture.opaque is not None:
+        bsdf = {"type": "mask", "bsdf": bsdf, "opacity": _bitmap(layer.picture, layer.picture.opaque)}
+    properties["bsdf" if flat else "mesh_bsdf"] = mi.load_dict(bsdf)
     return make_mesh(name, layer.rest, layer.faces, smooth=True, attributes={"vertex_color": layer.colour},
-                     props=properties)
+                     uv=layer.uv, props=properties)
+
+
+def _bitmap(picture: Picture, values: np.ndarray) -> dict:
+    return {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True, "wrap_mode": picture.wrap}

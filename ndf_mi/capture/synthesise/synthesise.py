@@ -28,12 +28,15 @@ from ndf_mi.json_input import load_json
 
 #: The settings of a folder, which show whether an interrupted run can continue there.
 SETTINGS_FILE = "synthesis.json"
+#: How well the body fits a character.
+FIT_FILE = "fit.json"
 #: sRGB of the background.
 BACKGROUND = (0.5, 0.5, 0.5)
 #: Increased whenever the same settings give different pictures.
 RECIPE = 2
 
-_OWN_FILES = (FILE_NAME, "body.npz", "poses.npz", lighting.SCENE, lighting.ENVIRONMENT, SETTINGS_FILE)
+_OWN_FILES = (FILE_NAME, "body.npz", "poses.npz", lighting.SCENE, lighting.ENVIRONMENT, SETTINGS_FILE,
+              FIT_FILE)
 _OWN_FOLDERS = ("images", "masks")
 
 
@@ -69,7 +72,7 @@ def synthesise(
                  **look.changes()}
     if light != lighting.DEFAULT:
         made_with["light"] = light
-    _claim(out, made_with, overwrite)
+    claim(out, made_with, overwrite)
     body = load_anny()
     poses = plan.motion(body, settings, look.motion)
     performer = Performer(body, plan.shape_of(body), look) if look.wide else None
@@ -77,30 +80,24 @@ def synthesise(
     cameras = camera_ring(settings.cameras, settings.pixels, poses.vertices, settings.seed, worn)
     scene = lighting.SCENE if constant else None
     document = Document(name, BACKGROUND, cameras, plan.splits(settings, list(cameras)), lighting=scene)
-    pairs = document.images()
-    finished = (out / FILE_NAME).is_file()
-    progress(len(pairs) if finished else 0, len(pairs))
-    if finished:
+    if (out / FILE_NAME).is_file():
+        progress(len(document.images()), len(document.images()))
         return out
     write_json(out / SETTINGS_FILE, made_with)
 
-    writer = CaptureWriter(out, document)
-    missing = [pair for pair in pairs if not writer.has(*pair)]
-    done = len(pairs) - len(missing)
-    progress(done, len(pairs))
-    if missing:
-        performer = performer or Performer(body, plan.shape_of(body), look)
-        studio = Studio(performer.layers, settings.spp, light)
-        for frame in sorted({frame for _, frame in missing}):
+    def make_studio() -> tuple[Studio, Callable[[int], None]]:
+        shown = performer or Performer(body, plan.shape_of(body), look)
+        studio = Studio(shown.layers, settings.spp, light)
+
+        def pose(frame: int) -> None:
             row = poses.index(frame)
-            layers = _posed(performer, poses, row)
+            layers = _posed(shown, poses, row)
             studio.pose(layers, plan.heading(poses.root_rotation[row]))
-            for camera in (camera for camera, of in missing if of == frame):
-                seed = (settings.seed * 1009 + frame) * 101 + list(cameras).index(camera)
-                radiance, coverage = studio.render(cameras[camera], seed % 2**31)
-                writer.write(camera, frame, composite(radiance, coverage), coverage > 0)
-                done += 1
-                progress(done, len(pairs))
+
+        return studio, pose
+
+    writer = CaptureWriter(out, document)
+    render_missing(writer, make_studio, settings.seed, progress)
     if constant:
         lighting.write(out, light)
     writer.finish(body, poses)
@@ -118,14 +115,40 @@ def _corners(performer: Performer, poses: Poses) -> np.ndarray:
     return np.concatenate([points[ConvexHull(points).vertices] for points in posed])
 
 
+def render_missing(writer: CaptureWriter, make_studio: Callable[[], tuple[Studio, Callable[[int], None]]],
+                   seed: int, progress: Callable[[int, int], None]) -> None:
+    """Renders the images of the writer's document that do not exist yet.
+
+    Args:
+        make_studio: called if an image is missing; returns a studio and what poses it in a frame.
+        progress: called with the numbers of finished and of all images.
+    """
+    pairs, cameras = writer.document.images(), writer.document.cameras
+    missing = [pair for pair in pairs if not writer.has(*pair)]
+    done = len(pairs) - len(missing)
+    progress(done, len(pairs))
+    if not missing:
+        return
+    studio, pose = make_studio()
+    for frame in sorted({frame for _, frame in missing}):
+        pose(frame)
+        for camera in (camera for camera, of in missing if of == frame):
+            number = (seed * 1009 + frame) * 101 + list(cameras).index(camera)
+            radiance, coverage = studio.render(cameras[camera], number % 2**31)
+            writer.write(camera, frame, composite(radiance, coverage), coverage > 0)
+            done += 1
+            progress(done, len(pairs))
+
+
 def composite(radiance: np.ndarray, coverage: np.ndarray) -> np.ndarray:
     """(h, w, 3) sRGB: premultiplied linear radiance over the background, blended in linear light."""
     behind = (1 - coverage[..., None]) * np.asarray(srgb_to_linear(np.array(BACKGROUND)))
     return np.asarray(linear_to_srgb(np.clip(radiance + behind, 0, 1)))
 
 
-def _claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
-    """Checks that ``out`` is new, empty or such a capture; removes another if ``overwrite``."""
+def claim(out: Path, made_with: dict[str, Any], overwrite: bool) -> None:
+    """Checks that ``out`` is new, empty or a capture with the settings ``made_with``; removes another one if
+    ``overwrite``. Raises InputError if it is something else."""
     if out.is_file():
         raise InputError(out, "a file", "a folder")
     names = sorted(p.name for p in out.iterdir() if not is_left_over(p)) if out.is_dir() else []

@@ -1,0 +1,1 @@
+"""Captures of rigged characters: reads glTF, plays its animations, and fits Anny to what moves."""
