@@ -23,6 +23,7 @@ MEMORY_OF_DEMO = 6.0
 PROBE_SECONDS = 120
 EXTRAS = {
     "atlas": "to flatten a body that comes without texture coordinates into one chart",
+    "character": "to read glTF characters that are compressed by meshopt",
     "report": "for comparisons and their reports",
     "stability": "for `ndf-mi stability`",
     "tensorboard": "for a training's TensorBoard events",
