@@ -1,3 +1,3 @@
-"""The body's surface fitted to images: a texture, vertex offsets, or both. `fit_texture` and `fit_offsets`
-are the doors.
+"""The body's surface fitted to images: a texture, vertex offsets, or both. `fit_texture`, `fit_offsets` and,
+from masks alone, `fit_reference` are the doors.
 """

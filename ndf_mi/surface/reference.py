@@ -43,7 +43,7 @@ image 0.08, a performer in loose clothes 0.68.
 
 LEAST_AGREEMENT = 0.75
 """Least agreement of the masks with the fitted surface. Masks of the next frame, of another camera, mirrored
-or cut in half reach 0.47 to 0.66 on the capture `quick`, masks that are right 0.98, and 0.94 where 2 of its
+or cut in half reach 0.47 to 0.68 on the capture `quick`, masks that are right 0.98, and 0.94 where 2 of its
 128 pixels are missing all around.
 """
 

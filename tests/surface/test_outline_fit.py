@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from ndf_mi.surface.degenerate import degenerate_triangles
-from ndf_mi.surface.outline_fit import OutlineFit, sampled
+from ndf_mi.surface.outline_fit import OutlineFit, Outlines, sampled
 from ndf_mi.surface.outline_views import OutlineViews
 from ndf_mi.surface.rest_frames import RestFrames
+from ndf_mi.surface.smoothing import vertex_areas
 
 RADIUS = 0.5
 
@@ -95,19 +96,21 @@ def test_samples_are_bilinear_between_pixels_centres():
     assert sampled(image, np.array([[-3.0, 0.5]])) == 0
 
 
-def test_degenerate_triangles_hold_back_their_surroundings_alone(shrunk_capture, large_camera):
-    # A ray of a star, narrower than its triangles, would fold those at its sides.
-    matte = disc(large_camera, 0.45)
-    middle = large_camera.project(np.zeros((1, 3)))[0].astype(int)
-    matte[: middle[1], middle[0] - 2 : middle[0] + 2] = 1
-    rest, faces = RestFrames(shrunk_capture), shrunk_capture.body.faces
-    fit = OutlineFit(rest, faces, 0)
-    frame = shrunk_capture.splits["train"].frames[0]
-    for _ in range(8):
-        fit.step({frame: [(large_camera, matte)]}, 0.02)
+def test_degenerate_triangles_hold_back_their_surroundings_alone(capture):
+    # Updates of 20 cm outwards everywhere, and at one vertex far inwards: its triangles would turn over.
+    class Pushed(OutlineFit):
+        def measure(self, views, collected=None):
+            weight = vertex_areas(rest.vertices, faces)
+            outwards = 0.2 * rest.vertices / np.linalg.norm(rest.vertices, axis=1, keepdims=True)
+            outwards[spike] = -200 * rest.vertices[spike]
+            return Outlines(weight, weight[:, None] * outwards, weight, weight)
+
+    rest, faces, spike = RestFrames(capture), capture.body.faces, 400
+    fit = Pushed(rest, faces, 0)
+    fit.step({}, 0.05)
     assert not degenerate_triangles(rest.vertices, fit.offsets, faces).any()
-    assert np.linalg.norm(fit.offsets, axis=1).max() > 0.03
-    before = fit.offsets.copy()
-    fit.step({frame: [(large_camera, disc(large_camera, 0.5))]}, 0.1)
-    assert (np.linalg.norm(fit.offsets - before, axis=1) > 2e-3).mean() > 0.8
-    assert not degenerate_triangles(rest.vertices, fit.offsets, faces).any()
+    moved = np.linalg.norm(fit.offsets, axis=1)
+    far = np.linalg.norm(rest.vertices - rest.vertices[spike], axis=1) > 0.5
+    assert moved[spike] < 0.02
+    # Over-relaxation makes it half as much again.
+    assert np.median(moved[far]) == pytest.approx(0.3, rel=0.05) and moved[far].min() > 0.2
