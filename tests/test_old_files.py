@@ -113,6 +113,8 @@ def test_an_ablation_keeps_its_runs(old: Path) -> None:
         "strata=2",
         "coordinates=texel",
         "surface=body",
+        "held_back=0",
+        "mask_trust=false",
         "rays=256",
         "samples=24",
     ]
