@@ -79,6 +79,16 @@ def test_refused_steps_leave_the_best_alone(capture, tmp_path, poison):
         np.testing.assert_array_equal(trainer.run.parameters.arrays()[name], values)
 
 
+def test_moments_follow_the_clock(capture, tmp_path):
+    options = dataclasses.replace(OPTIONS, seconds=300.0, steps=10**9)
+    trainer = start(tmp_path / "run", capture, TINY, options)
+    for taken, seconds, measured in ((50, 5.0, 0), (100, 10.0, 100), (130, 20.5, 100), (150, 20.5, 150),
+                                     (151, 300.0, 151)):
+        trainer._taken, trainer._seconds = taken, seconds
+        trainer._measure_held_back()
+        assert trainer.progress.held_back_step == measured
+
+
 def test_nothing_is_kept_without_held_back_views(capture, tmp_path):
     options = dataclasses.replace(OPTIONS, steps=2, held_back=0.0)
     trainer = start(tmp_path / "run", capture, TINY, options)
