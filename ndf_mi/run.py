@@ -177,6 +177,16 @@ class Run:
         with files.replacing(self.path / "field.safetensors") as beside:
             save_file(self.field_tensors(), beside)
 
+    def replace_poses(self, poses: Poses) -> None:
+        """Takes other poses of the same frames and body, as a refined fit has."""
+        self.poses = poses
+        self._surfaces.clear()
+
+    def save_fit(self) -> None:
+        """Writes only the poses and `surface.safetensors`, which a refined fit changes."""
+        self.poses.write(self.path / "poses.npz")
+        self.save_surface()
+
     def save_surface(self) -> None:
         """Writes only `surface.safetensors`, if there is anything to write."""
         if self.surface_tensors:

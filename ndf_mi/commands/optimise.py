@@ -53,6 +53,15 @@ class Optimise:
     seed: int | None = None
     """Seed of the initial parameters, rays and jitter."""
 
+    refine: Annotated[str | None, tyro.conf.arg(metavar="pose,shape,cameras")] = None
+    """Correct the fit together with the field: any of pose (joints, place and turn of the body by frame),
+    shape (of the body) and cameras (rotation, place and focal length). With prbvolpath only during
+    `warm_up`."""
+
+    camera_colours: bool = False
+    """Learn a map of colour for each training camera, for cameras that differ in exposure or white balance.
+    With prbvolpath only during `warm_up`."""
+
     option: Annotated[tuple[str, ...], tyro.conf.UseAppendAction,
                       tyro.conf.arg(metavar="NAME=VALUE", help=OPTION_HELP)] = ()
 
@@ -136,7 +145,9 @@ class Optimise:
     def _configured(self, base: Preset | None) -> tuple[Preset, TrainingOptions]:
         return configured(
             self._preset_name(), self.option, ablation_name=self.ablation, steps=self.steps,
-            seconds=self.seconds, seed=self.seed, integrator=self.integrator, planned=base)
+            seconds=self.seconds, seed=self.seed, integrator=self.integrator, planned=base,
+            refine=None if self.refine is None else tuple(n.strip() for n in self.refine.split(",")),
+            camera_colours=self.camera_colours or None)
 
     def _plans(self, training: TrainingOptions) -> bool:
         """Whether the architecture comes from a plan."""

@@ -43,6 +43,8 @@ def configured(
     seed: int | None = None,
     integrator: str = QUADRATURE,
     planned: Preset | None = None,
+    refine: tuple[str, ...] | None = None,
+    camera_colours: bool | None = None,
 ) -> tuple[Preset, TrainingOptions]:
     """A preset and its training options, first ablated, then changed by the other arguments.
 
@@ -51,8 +53,8 @@ def configured(
         entries: NAME=VALUE, where VALUE is JSON or, for text, the text itself. Later entries override earlier
             ones and the arguments below.
         ablation_name: a key of `ndf_mi.learn.ablations.ABLATIONS`.
-        steps, seconds, seed: training options; None keeps the default. With `seconds` alone, steps are
-            unlimited.
+        steps, seconds, seed, refine, camera_colours: training options; None keeps the default. With `seconds`
+            alone, steps are unlimited.
         integrator: `ndf_quadrature`, or a scattering integrator, which changes the preset so that colours
             contain no light and sets a number of steps of its own.
         planned: replaces the named preset; `preset_name` then only selects the training options.
@@ -71,7 +73,8 @@ def configured(
         training = dataclasses.replace(training, integrator=integrator, steps=steps_in_all)
     if steps is None and seconds is not None:
         steps = UNLIMITED
-    given = {"steps": steps, "seconds": seconds, "seed": seed}
+    given = {"steps": steps, "seconds": seconds, "seed": seed, "refine": refine,
+             "camera_colours": camera_colours}
     changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     for text in entries:
         name, equals, value = text.partition("=")

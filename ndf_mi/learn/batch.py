@@ -33,7 +33,7 @@ class PathSeeds:
 
 @dataclass(frozen=True)
 class Batch:
-    """The input of one step: R rays of one frame. All arrays are float32.
+    """The input of one step: R rays of one frame. All arrays but `camera` are float32.
 
     Attributes:
         frame: the frame's number.
@@ -48,6 +48,8 @@ class Batch:
         jitter: in [0, 1), one number for each candidate sample of each ray, ray by ray.
         pose: (3·J,) axis-angles that the networks see, with noise.
         edge_active: whether the loss's term at the band's edge counts.
+        camera: (R,) uint32, the index of each ray's camera in the `train` split; the number of these for
+            another camera, which has no corrections.
         paths: only for steps through scattering.
     """
 
@@ -61,6 +63,7 @@ class Batch:
     jitter: np.ndarray
     pose: np.ndarray
     edge_active: bool
+    camera: np.ndarray
     paths: PathSeeds | None = None
 
     @property
@@ -155,6 +158,7 @@ class BatchSampler:
         parts = [self._draw(rng, row, column, int(count))
                  for column, count in zip(columns, counts, strict=True) if count]
         rays = [np.concatenate(values, axis=-1, dtype=np.float32) for values in zip(*parts, strict=True)]
+        camera = np.repeat(np.array(columns, dtype=np.uint32), counts)
         jitter = rng.random(self._candidates, dtype=np.float32)
         pose = self._poses.pose[self._poses.index(self._frames[row])].astype(np.float32)
         if options.pose_noise > 0:
@@ -163,7 +167,7 @@ class BatchSampler:
         paths = PathSeeds(rng.random(3), int(rng.integers(2**32))) if scattering else None
         origin, direction, target, mask, mask_valid, in_box = rays
         return Batch(self._frames[row], origin, direction, target, mask, mask_valid, in_box, jitter,
-                     pose.ravel(), edge_active, paths)
+                     pose.ravel(), edge_active, camera, paths)
 
     def _draw(self, rng: np.random.Generator, row: int, column: int, count: int) -> tuple[np.ndarray, ...]:
         view = self._views[row, column]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from ndf_mi.body.poses import Poses
 from ndf_mi.capture.camera import box_pixels, pixel_rays
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
@@ -58,16 +59,18 @@ class HeldBackRays:
         capture: the images.
         options: sampling.
         views: what to draw from, at least one: indices in the training split.
+        poses: of the reference surface; by default the run's.
 
     Attributes:
         batches: one for each view.
     """
 
-    def __init__(self, run: Run, capture: Capture, options: TrainingOptions, views: Sequence[View]) -> None:
+    def __init__(self, run: Run, capture: Capture, options: TrainingOptions, views: Sequence[View],
+                 poses: Poses | None = None) -> None:
         rng = np.random.default_rng([options.seed, 3])
         split = capture.splits["train"]
         self.batches = [view_rays(run, capture, options, split.cameras[column], split.frames[row],
-                                  RAYS // len(views), rng) for row, column in views]
+                                  RAYS // len(views), rng, poses) for row, column in views]
 
     def error(self, image_error: Callable[[FieldParameters, Batch], float],
               parameters: FieldParameters) -> float:
@@ -87,7 +90,7 @@ def mean_error(batches: Sequence[Batch], image_error: Callable[[FieldParameters,
 
 
 def view_rays(run: Run, capture: Capture, options: TrainingOptions, camera: str, frame: int, count: int,
-              rng: np.random.Generator) -> Batch:
+              rng: np.random.Generator, poses: Poses | None = None) -> Batch:
     """Rays through different random pixels of the performer's box in one image, without noise: samples lie in
     the middles of their strata.
 
@@ -95,12 +98,14 @@ def view_rays(run: Run, capture: Capture, options: TrainingOptions, camera: str,
         run: its poses are those of the reference surface.
         camera, frame: of the image.
         count: number of rays, or of the box's pixels if these are fewer.
+        poses: used instead of the run's.
 
     Raises:
         InputError: the camera does not see the box.
     """
+    poses = run.poses if poses is None else poses
     lens = capture.cameras[camera]
-    box = box_pixels(lens, *drawing_box(capture, run.poses, frame, options.box_padding))
+    box = box_pixels(lens, *drawing_box(capture, poses, frame, options.box_padding))
     if not box.any():
         raise InputError(f"camera {camera}, frame {frame}", "no pixel of the performer in view",
                          "a camera that sees the body")
@@ -110,6 +115,9 @@ def view_rays(run: Run, capture: Capture, options: TrainingOptions, camera: str,
     mask = capture.matte(camera, frame).ravel()[pixels].astype(np.float32)
     ones = np.ones(len(pixels), np.float32)
     candidates = options.samples * run.model.field.preset.sample_factor
-    pose = run.poses.pose[run.poses.index(frame)].astype(np.float32)
+    pose = poses.pose[poses.index(frame)].astype(np.float32)
+    cameras = capture.splits["train"].cameras
+    column = cameras.index(camera) if camera in cameras else len(cameras)
     return Batch(frame, origin, direction, target, mask, ones, ones,
-                 np.full(len(pixels) * candidates, 0.5, np.float32), pose.ravel(), edge_active=False)
+                 np.full(len(pixels) * candidates, 0.5, np.float32), pose.ravel(), edge_active=False,
+                 camera=np.full(len(pixels), column, np.uint32))

@@ -12,6 +12,9 @@ from ndf_mi.errors import InputError
 from ndf_mi.options import read_options
 from ndf_mi.run import QUADRATURE
 
+REFINABLE = ("pose", "shape", "cameras")
+"""What `TrainingOptions.refine` can name."""
+
 
 @dataclass(frozen=True)
 class TrainingOptions:
@@ -72,7 +75,7 @@ class TrainingOptions:
     """Adam's learning rate for the hash table."""
 
     decay: float = 0.1
-    """Factor by which both rates decay, exponentially, over `decay_steps` steps."""
+    """Factor by which all rates decay, exponentially, over `decay_steps` steps."""
 
     decay_steps: int = 0
     """Steps over which the rates decay by `decay`; 0 for the whole training."""
@@ -105,6 +108,40 @@ class TrainingOptions:
     seed: int = 0
     """Seed of the initial parameters, rays and jitter."""
 
+    refine: tuple[str, ...] = ()
+    """What of the fit is refined with the field, of `pose`, `shape` and `cameras`: joints, place and turn of
+    the body by frame, its shape coefficients, rotation, place and focal length by camera. With a scattering
+    integrator only during `warm_up`."""
+
+    camera_colours: bool = False
+    """Learn an affine map of linear colour for each training camera, of which the mean is the identity. With
+    a scattering integrator only during `warm_up`."""
+
+    pose_rate: float = 0.05
+    """Adam's learning rate for the corrections of poses, in standard deviations of their prior (5° of a
+    joint, 20 mm)."""
+
+    shape_rate: float = 0.02
+    """Adam's learning rate for the shape's corrections, in standard deviations (10 mm of the surface)."""
+
+    camera_rate: float = 0.02
+    """Adam's learning rate for the cameras' corrections, in standard deviations (0.5°, 10 mm, 1 % of the
+    focal length)."""
+
+    colour_rate: float = 0.02
+    """Adam's learning rate for the cameras' maps of colour, in standard deviations (0.1 of the matrix,
+    0.02 of the offset)."""
+
+    refine_prior: float = 1e-5
+    """Weight of the corrections' prior: of the sum of their squares in standard deviations, divided by the
+    number of training frames."""
+
+    refine_frames: float = 10.0
+    """Frames over which the corrections of poses are correlated; 0 for independent frames."""
+
+    refine_after: int = 200
+    """Steps before anything is corrected: the field has no outline yet."""
+
     checkpoint_seconds: float = 60.0
     """Time between checkpoints in seconds."""
 
@@ -125,15 +162,19 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         for key in ("steps", "rays", "samples", "learning_rate", "grid_rate", "decay", "clip",
-                    "checkpoint_seconds", "cell"):
+                    "pose_rate", "shape_rate", "camera_rate", "colour_rate", "checkpoint_seconds", "cell"):
             self._check(key, 0 < getattr(self, key) < float("inf"), "a number above 0")
         for key in ("seconds", "pose_noise", "edge_kernel", "opacity_edge", "box_padding", "decay_steps",
-                    "opacity_weight", "edge_weight", "edge_below", "seed", "min_transmittance", "warm_up"):
+                    "opacity_weight", "edge_weight", "edge_below", "seed", "min_transmittance", "warm_up",
+                    "refine_prior", "refine_frames", "refine_after"):
             self._check(key, 0 <= getattr(self, key) < float("inf"), "a number of at least 0")
         self._check("atlas", self.atlas in ("body", "one-piece"), "body or one-piece")
         self._check("bands", self.bands in ("local", "uniform"), "local or uniform")
         self._check("surface", self.surface in ("body", "offset"), "body or offset")
         self._check("min_transmittance", self.min_transmittance < 1, "a transmittance in [0, 1)")
+        unknown = [name for name in self.refine if name not in REFINABLE]
+        self._check("refine", not unknown and len(set(self.refine)) == len(self.refine),
+                    f"each at most once of {', '.join(REFINABLE)}")
         for key in ("paths", "max_depth"):
             self._check(key, getattr(self, key) >= 2, "at least 2")
         self._check("warm_up", self.integrator == QUADRATURE or self.warm_up < self.steps,

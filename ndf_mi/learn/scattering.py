@@ -14,8 +14,10 @@ from ndf_mi.colour import srgb_to_linear
 from ndf_mi.errors import InputError
 from ndf_mi.field import FieldParameters, Preset
 from ndf_mi.learn.batch import Batch
+from ndf_mi.learn.corrections import NONE, Corrections
 from ndf_mi.learn.loss import NoisyLoss
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.refinement import Refinement
 from ndf_mi.learn.scattering_scene import ScatteringScene, expect_outside
 from ndf_mi.learn.step import QuadratureStep, Statistics, statistics
 from ndf_mi.model import PosedModel
@@ -103,13 +105,15 @@ class ScatteringStep:
         lights: entries of a scene's dictionary.
         options: sampling and loss.
         quadrature: computes the loss's terms in the density alone.
+        refinement: applies corrections, which get no gradient here. The run's poses must have them.
     """
 
     def __init__(self, run: Run, frames: Sequence[int], lights: dict[str, Any], options: TrainingOptions,
-                 quadrature: QuadratureStep) -> None:
+                 quadrature: QuadratureStep, refinement: Refinement | None = None) -> None:
         self._run = run
         self._paths = options.paths
         self._quadrature = quadrature
+        self._refinement = refinement
         self._loss = NoisyLoss(options.paths)
         self._scene = ScatteringScene(run, frames, lights, options.cell)
         integrator = mi.load_dict(
@@ -117,18 +121,22 @@ class ScatteringStep:
         background = srgb_to_linear(mi.Color3f(*(float(v) for v in run.background)))
         self._replay = Replay(self._scene.scene, integrator, background)
 
-    def __call__(self, parameters: FieldParameters, batch: Batch) -> tuple[mi.Float, Statistics]:
-        if batch.paths is None:
+    def __call__(self, parameters: FieldParameters, batch: Batch, corrections: Corrections = NONE
+                 ) -> tuple[mi.Float, Statistics]:
+        paths = batch.paths
+        if paths is None:
             raise ValueError("a step through scattering needs a batch with path seeds")
+        if self._refinement is not None and corrections.groups():
+            batch = self._refinement.frozen(corrections, batch)
         density_terms, radiance, _ = self._quadrature.density_terms(parameters, batch)
         frame = batch.frame
         # Without an occupancy: all nodes in the band are evaluated.
         posed = PosedModel(self._run.model, parameters, self._run.surface(frame), mi.Float(batch.pose))
-        baked, nodes = self._scene.place(posed, frame, batch.paths.shift)
+        baked, nodes = self._scene.place(posed, frame, paths.shift)
         ray = repeated(batch.ray, self._paths)
-        colours = self._replay.radiance(ray, batch.paths.seed)
+        colours = self._replay.radiance(ray, paths.seed)
         error, adjoint = self._loss(colours, mi.Color3f(batch.target))
-        self._replay.backward(ray, batch.paths.seed, colours, adjoint)
+        self._replay.backward(ray, paths.seed, colours, adjoint)
         # Has the value of the error, and its gradients by way of the nodes.
         vjp = baked.vjp(dr.grad(nodes))
         return density_terms + (error + vjp - dr.detach(vjp)), statistics(radiance, posed, error)

@@ -12,6 +12,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import Preset
 from ndf_mi.learn.loop import expect_capture, resume, start, train
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.refinement import INITIAL
 from ndf_mi.learn.trainer import STATE
 from ndf_mi.run import Run
 from ndf_mi.training_log import FILE_NAME as LOG
@@ -49,7 +50,8 @@ def trained(folder: Path, capture: Capture, preset: Preset | None, options: Trai
 
 def clear(folder: Path) -> None:
     """Deletes what would keep `start` from creating a run in a folder that holds one."""
-    for file in (folder / "config.json", folder / STATE, folder / LOG, *folder.glob("events.*")):
+    for file in (folder / "config.json", folder / STATE, folder / LOG, folder / INITIAL,
+                 *folder.glob("events.*")):
         file.unlink(missing_ok=True)
 
 

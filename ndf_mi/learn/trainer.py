@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -17,10 +18,12 @@ from ndf_mi.field import FieldParameters
 from ndf_mi.field.occupancy import Occupancy
 from ndf_mi.learn.batch import Batch, BatchSampler
 from ndf_mi.learn.best import Best
+from ndf_mi.learn.corrections import GROUPS, Corrections
 from ndf_mi.learn.guard import Guard
 from ndf_mi.learn.held_back import EVERY, SHARE, HeldBackRays, choose_views
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.progress import Progress
+from ndf_mi.learn.refinement import Refinement
 from ndf_mi.learn.scattering import ScatteringStep, capture_lights
 from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
 from ndf_mi.learn.step import QuadratureStep, Statistics, Step
@@ -38,8 +41,9 @@ class Trainer:
     """Trains the field of a run on the training split of a capture.
 
     With a scattering integrator the first `warm_up` steps are by quadrature, and those through scattering
-    begin with fresh moments. Parameters live in the optimisers; :meth:`publish` copies them to the run, or
-    those that had the least error on held-back views, where there are some.
+    begin with fresh moments and keep the corrections of fit and colours. Parameters live in the optimisers;
+    :meth:`publish` copies them to the run, or those that had the least error on held-back views, where there
+    are some.
 
     Args:
         run: what to train.
@@ -49,8 +53,9 @@ class Trainer:
 
     Attributes:
         batches: draws a batch for each step, as :class:`BatchSampler`; can be replaced.
-        optimisers: ``mi.ad.Adam`` by the name of the parameter that each updates: `weights`, and `grid` where
-            the preset has a hash table.
+        optimisers: ``mi.ad.Adam`` by the name of the parameter that each updates: `weights`, `grid` where the
+            preset has a hash table, and the groups of :class:`Corrections` that the options ask for.
+        refinement: what the corrections do.
 
     Raises:
         InputError: the capture cannot be trained on with these options.
@@ -60,6 +65,7 @@ class Trainer:
         self.run = run
         self.options = options
         self._frames = capture.splits["train"].frames
+        self.refinement = Refinement(run, capture, options)
         self._lights: dict[str, Any] = {}
         if options.integrator != QUADRATURE:
             self._lights = capture_lights(run, capture, options)
@@ -68,15 +74,19 @@ class Trainer:
         share = options.held_back if options.integrator == QUADRATURE else 0.0
         held_back = choose_views(len(split.frames), len(split.cameras), share, options.seed)
         self.batches: Callable[[np.random.Generator, bool, bool], Batch] = BatchSampler(
-            capture, options, run.model.field.preset.sample_factor, run.poses, held_back,
+            capture, options, run.model.field.preset.sample_factor, self.refinement.poses, held_back,
             run.model.field.preset.band)
-        self._held_back = HeldBackRays(run, capture, options, held_back) if held_back else None
+        self._held_back = (HeldBackRays(run, capture, options, held_back, self.refinement.poses)
+                           if held_back else None)
         self._best = Best()
         self._rng = np.random.default_rng([options.seed, 1])
         self._occupancy = Occupancy(threshold=_EMPTY) if options.skip_empty else None
-        self._quadrature = QuadratureStep(run, options, self._occupancy)
+        self._quadrature = QuadratureStep(run, options, self._occupancy, self.refinement)
         self._scattering_step: ScatteringStep | None = None
+        self.optimisers: dict[str, Any] = {}
         self._make_optimisers()
+        for name, value in self.refinement.initial().items():
+            self.optimisers[name] = mi.ad.Adam(lr=self._base_rates()[name], params={name: value})
         self._guard = Guard(list(self.optimisers.values()))
         self._taken = 0
         self._scattering_begun = self.scattering
@@ -108,7 +118,19 @@ class Trainer:
     @property
     def parameters(self) -> FieldParameters:
         """The current parameters, attached."""
-        return FieldParameters(**{name: optimiser[name] for name, optimiser in self.optimisers.items()})
+        return FieldParameters(**{name: self.optimisers[name][name] for name in _FIELD
+                                  if name in self.optimisers})
+
+    @property
+    def corrections(self) -> Corrections:
+        """The current corrections of fit and colours; attached where the next step improves them."""
+        values = {name: optimiser[name] for name, optimiser in self.optimisers.items() if name not in _FIELD}
+        found = Corrections(**values)
+        return found if self._refining else found.detached()
+
+    @property
+    def _refining(self) -> bool:
+        return self._taken >= self.options.refine_after and not self.scattering
 
     def step(self) -> None:
         """Takes one step, or refuses it and returns to the last good state.
@@ -129,14 +151,19 @@ class Trainer:
         self._seconds += time.perf_counter() - started
 
     def publish(self) -> None:
-        """Copies the parameters, detached, to the run: those with the least held-back error if it was
-        measured, else the current ones."""
-        kept = self._best.parameters
-        self.run.parameters = (FieldParameters(**{name: values[name] for name, values in kept.items()})
-                               if kept else self.parameters.detached())
+        """Copies the parameters, detached, to the run, and the corrections to its fit: those with the least
+        held-back error if it was measured, else the current ones."""
+        kept = {name: values[name] for name, values in self._best.parameters.items()}
+        if kept:
+            self.run.parameters = FieldParameters(**{name: kept[name] for name in _FIELD if name in kept})
+            corrections = Corrections(**{name: kept[name] for name in GROUPS if name in kept})
+        else:
+            self.run.parameters, corrections = self.parameters.detached(), self.corrections
+        self.refinement.publish(corrections)
 
     def save(self) -> None:
-        """Writes the training state, then the field."""
+        """Writes the training state, then the field and the fit."""
+        self.refinement.save_initial()
         tensors: dict[str, np.ndarray] = {}
         for name, optimiser in self.optimisers.items():
             tensors |= adam_tensors(optimiser, _PREFIXES[name])
@@ -156,6 +183,8 @@ class Trainer:
         write_state(self.run.path / STATE, tensors, metadata)
         self.publish()
         self.run.save_field()
+        if self.corrections.groups():
+            self.run.save_fit()
 
     def restore(self) -> None:
         """Returns to the state that :meth:`save` wrote last.
@@ -187,10 +216,10 @@ class Trainer:
         self.publish()
 
     def _make_optimisers(self) -> None:
-        """Optimisers without moments, of the run's parameters."""
+        """Optimisers without moments, of the field's parameters in the run."""
         options, parameters = self.options, self.run.parameters
-        self.optimisers: dict[str, Any] = {
-            "weights": mi.ad.Adam(lr=options.learning_rate, params={"weights": parameters.weights})}
+        self.optimisers["weights"] = mi.ad.Adam(lr=options.learning_rate,
+                                                params={"weights": parameters.weights})
         if parameters.grid is not None:
             # Most entries of the table get no sample in a step. They keep value and moments (Müller et al.
             # 2022).
@@ -207,15 +236,16 @@ class Trainer:
     def _update(self, batch: Batch) -> Statistics | None:
         """Updates the parameters; None where the step must be refused."""
         rate = self._set_rates()
-        loss, statistics = self._step()(self.parameters, batch)
+        loss, statistics = self._step()(self.parameters, batch, self.corrections)
         dr.backward(loss)
         if not self._guard.gradients_finite(loss):
             return None
         self._guard.mark_stable(self._taken)
         weights = self.optimisers["weights"]["weights"]
         dr.set_grad(weights, dr.clip(dr.grad(weights), -self.options.clip, self.options.clip))
-        for optimiser in self.optimisers.values():
-            optimiser.step()
+        for name, optimiser in self.optimisers.items():
+            if name in _FIELD or self._refining:
+                optimiser.step()
         return statistics if self._guard.params_finite(rate) else None
 
     def _step(self) -> Step:
@@ -223,7 +253,7 @@ class Trainer:
             return self._quadrature
         if self._scattering_step is None:
             self._scattering_step = ScatteringStep(self.run, self._frames, self._lights, self.options,
-                                                   self._quadrature)
+                                                   self._quadrature, self.refinement)
         return self._scattering_step
 
     def _record(self, statistics: Statistics) -> None:
@@ -243,17 +273,23 @@ class Trainer:
             return
         done = self.done
         if done >= 1 or (self._taken % EVERY == 0 and done - self._best.last_done >= 0.999 * SHARE):
-            error = self._held_back.error(self._quadrature.image_error, self.parameters)
+            image_error = partial(self._quadrature.image_error, corrections=self.corrections)
+            error = self._held_back.error(image_error, self.parameters)
             self._best.observe(self._taken, done, error, self.optimisers)
 
     def _set_rates(self) -> float:
-        """Sets the optimisers' learning rates; returns the larger one."""
-        options = self.options
-        factor = options.decay ** self._decay_progress() * self._guard.rate_factor
-        rates = {"weights": options.learning_rate * factor, "grid": options.grid_rate * factor}
+        """Sets the optimisers' learning rates; returns the largest one."""
+        factor = self.options.decay ** self._decay_progress() * self._guard.rate_factor
+        rates = {name: rate * factor for name, rate in self._base_rates().items()}
         for name, optimiser in self.optimisers.items():
             optimiser.set_learning_rate(rates[name])
-        return max(rates.values())
+        return max(rates[name] for name in self.optimisers)
+
+    def _base_rates(self) -> dict[str, float]:
+        """The learning rates of the options, by parameter."""
+        options = self.options
+        return {"weights": options.learning_rate, "grid": options.grid_rate, "pose": options.pose_rate,
+                "shape": options.shape_rate, "cameras": options.camera_rate, "colours": options.colour_rate}
 
     def _decay_progress(self) -> float:
         """How far the rates have decayed; 1 means by the factor `decay`. Warm-up and scattering each decay
@@ -268,8 +304,11 @@ class Trainer:
         return (self._taken - options.warm_up) / max(options.steps - options.warm_up, 1)
 
 
+#: The parameters of the field; the others are corrections.
+_FIELD = ("weights", "grid")
+
 #: Names of the optimisers' tensors in the state file.
-_PREFIXES = {"weights": "networks", "grid": "table"}
+_PREFIXES = {"weights": "networks", "grid": "table"} | {name: name for name in GROUPS}
 
 
 def _number(value: float | None) -> float:

@@ -19,6 +19,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import preset as preset_of
 from ndf_mi.learn.loop import expect_capture
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.refined import refined_camera, seen_by
 from ndf_mi.learn.scattering import SCATTERING
 from ndf_mi.learn.trained import clear, expect_options, trained
 from ndf_mi.methods.base import Budget, Progress
@@ -114,8 +115,11 @@ class NeuralField:
         files.write_json(Path(folder) / "config.json", self.run.config)
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
-        """(h, w, 3) float32 sRGB in [0, 1] over the run's background."""
-        return self._renderer(self.run.posed(frame), camera).over(self.run.background)
+        """(h, w, 3) float32 sRGB in [0, 1] over the run's background. A training camera of the capture has
+        its correction and its map of colour, if these were trained."""
+        image = self._renderer(self.run.posed(frame), refined_camera(self.run, camera))
+        image.linear = seen_by(self.run, camera, image.linear, image.opacity)
+        return image.over(self.run.background)
 
     def metadata(self) -> dict[str, Any]:
         """The optional keys of `methods.base`, and `preset`, `training` (all options of both), and `samples`
@@ -138,9 +142,9 @@ class NeuralField:
         }
 
     def cache_key(self) -> str:
-        """SHA-256 (hex) over the field's parameters and how they are rendered."""
+        """SHA-256 (hex) over the field's parameters, its surface, and how they are rendered."""
         state = hashlib.sha256(f"{RECIPE} {self.run.config['preset']} {self._renderer.samples}".encode())
-        for name, values in sorted(self.run.field_tensors().items()):
+        for name, values in sorted((self.run.field_tensors() | self.run.surface_tensors).items()):
             state.update(name.encode() + values.tobytes())
         return state.hexdigest()
 
