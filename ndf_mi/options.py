@@ -30,6 +30,8 @@ def option_value(options: type, name: str, value: Any, where: str) -> Any:
         return msgspec.convert(value, hints[name])
     except msgspec.ValidationError:
         kind = get_origin(hints[name]) or hints[name]
+        if hints[name] == tuple[str, ...]:
+            raise InputError(f"{where}: {name}", shown(value), 'a list of names such as ["pose"]') from None
         expected = _KINDS.get(kind) or "one of " + ", ".join(map(str, get_args(hints[name])))
         raise InputError(f"{where}: {name}", shown(value), expected) from None
 

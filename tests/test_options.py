@@ -17,6 +17,7 @@ class Example:
     name: str = "a"
     kind: Literal["one", "two"] = "one"
     layers: tuple[int, ...] = ()
+    parts: tuple[str, ...] = ()
 
     def __post_init__(self):
         if self.count < 1:
@@ -35,6 +36,7 @@ def test_values_have_the_types_of_their_options():
     ({"count": True}, ["file", "count", "true"]),
     ({"quiet": 1}, ["file", "quiet", "true or false"]),
     ({"layers": [1, 2.5]}, ["file", "layers", "list of whole numbers"]),
+    ({"parts": [1]}, ["file", "parts", "list of names"]),
     ({"kind": "three"}, ["file", "kind", "three", "one, two"]),
     ({"name": 3}, ["file", "name", "3"]),
     ({"count": 0}, ["file", "count", "0", "at least 1"]),
