@@ -98,7 +98,8 @@ def planned(capture: Capture, surface: Reference, settings: PlanSettings = PlanS
         InputError: an image cannot be read, or none shows the surface within the mask.
     """
     started = time.perf_counter()
-    found = plan(surface.seen_by(capture), settings, lambda step: show(f"planning the model: {step}"))
+    found = plan(surface.seen_by(capture), settings, lambda step: show(f"planning the model: {step}"),
+                 surface.residual)
     return Planned(found, time.perf_counter() - started)
 
 

@@ -61,7 +61,7 @@ def place_bands(rest: np.ndarray, faces: np.ndarray, found: Standoff, allowed_er
         allowed_error: squared error in sRGB.
         half: half a pixel's width in metres.
         full: the model that the widths are for.
-        residual: (V,) by how much the body is expected to be off its surface besides, in metres.
+        residual: (V,) by how much the body is known to be off its surface, in metres, on whichever side.
 
     Returns:
         (V, 2) float32 metres outside and inside, at most :data:`REACH` and a little more for blur.
@@ -71,7 +71,7 @@ def place_bands(rest: np.ndarray, faces: np.ndarray, found: Standoff, allowed_er
     near = _neighbourhoods(rest)
     allowed = allowed_error * found.pixels * (near @ area) / max(area.sum(), 1e-30)
     off = 0 if residual is None else np.maximum(residual, 0)
-    outside, inside = (np.minimum(_reach(part, faces, len(rest), near, allowed) + off, REACH)
+    outside, inside = (np.minimum(np.maximum(_reach(part, faces, len(rest), near, allowed), off), REACH)
                        for part in (found.outside, found.inside))
     needed = np.maximum(widths(outside, inside, half, full), LEAST)
     spread = np.stack([spread_out(rest, faces, width) for width in needed.T], axis=1)

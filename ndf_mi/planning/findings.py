@@ -109,8 +109,13 @@ def about_pose(moved: float, frame: Estimate, within: Estimate, detail: Detail, 
          "deformation_layers": full.deformation_layers if deform else ()})
 
 
-def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Preset) -> Finding:
-    """How far does the surface stand off the body?"""
+def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Preset,
+               local: np.ndarray | None = None) -> Finding:
+    """How far does the surface stand off the body?
+
+    Args:
+        local: (V, 2) metres that each vertex needs outside and inside.
+    """
     allowed = settings.allowed_error * found.pixels
     outside, inside = found.outside.reach(allowed), found.inside.reach(allowed)
     # Pixels blur outlines by half their width to either side, and the field must reproduce that along their
@@ -130,11 +135,16 @@ def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Pr
     if driven:
         evidence += "; the band's outer part follows from its inner one"
     before, after = full.band + full.band_inside, band + deep
+    follows = f"a band from {1e3 * deep:.0f} mm inside to {1e3 * band:.0f} mm outside the body"
+    figures: dict[str, float | None] = {"outside_mm": 1e3 * outside, "inside_mm": 1e3 * inside}
+    if local is not None:
+        wide, depth = np.median(np.minimum(local, [band, deep]), axis=0)
+        follows += f" at most; at half of the vertices from {1e3 * depth:.0f} mm to {1e3 * wide:.0f} mm"
+        figures |= {"median_outside_mm": 1e3 * float(wide), "median_inside_mm": 1e3 * float(depth)}
     return Finding(
-        "band", "how far does the surface stand off the body?", evidence,
-        f"a band from {1e3 * deep:.0f} mm inside to {1e3 * band:.0f} mm outside the body",
-        f"of {1e3 * before:.0f} mm, {1e3 * (before - after):.0f}" if after < before else "",
-        {"outside_mm": 1e3 * outside, "inside_mm": 1e3 * inside}, {"band": band, "band_inside": deep})
+        "band", "how far does the surface stand off the body?", evidence, follows,
+        f"of {1e3 * before:.0f} mm, {1e3 * (before - after):.0f}" if after < before else "", figures,
+        {"band": band, "band_inside": deep})
 
 
 def about_detail(detail: Detail, settings: PlanSettings, full: Preset) -> Finding:

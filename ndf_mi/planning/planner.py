@@ -12,6 +12,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import Preset, preset
 from ndf_mi.planning import findings as about
 from ndf_mi.planning.appearance import Appearance
+from ndf_mi.planning.bands import place_bands
 from ndf_mi.planning.detail import detail
 from ndf_mi.planning.observations import chosen_frames, observe
 from ndf_mi.planning.plan import Finding, Plan, PlanSettings
@@ -27,13 +28,14 @@ def full_model() -> Preset:
 
 
 def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B008
-         progress: Callable[[str], None] = lambda step: None) -> Plan:
+         progress: Callable[[str], None] = lambda step: None, residual: np.ndarray | None = None) -> Plan:
     """The plan for a capture, from its training cameras and frames alone.
 
     Args:
-        capture: the capture.
+        capture: the capture, with the surface that the field will be wrapped around as its body.
         settings: how much a part must be worth, and how many images are read.
         progress: called with each of :data:`STEPS` when it begins.
+        residual: (V,) metres by which the surface is known to be off at each vertex.
 
     Raises:
         InputError: an image cannot be read, or none shows the body within the mask.
@@ -55,7 +57,10 @@ def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B00
     moved = about.articulation(poses, [poses.index(frame) for frame in capture.splits["train"].frames])
     pose = about.about_pose(moved, *appearance.frame(given_normal), measured, settings, full)
     progress("silhouettes")
-    band = about.about_band(standoff(capture, frames, views), measured, settings, full)
+    disagreement = standoff(capture, frames, views)
+    local = place_bands(rest, body.faces, disagreement, settings.allowed_error, measured.footprint / 2, full,
+                        residual)
+    band = about.about_band(disagreement, measured, settings, full, local)
     progress("detail")
     fine = about.about_detail(measured, settings, full)
     scattering = about.about_scattering(None if capture.lighting is None else capture.lighting.name)
@@ -68,7 +73,8 @@ def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B00
     return Plan(
         {"name": capture.name, "digest": capture.digest},
         {"cameras": list(capture.splits["train"].cameras), "frames": list(frames)},
-        settings, tuple(found), dataclasses.replace(full, name="planned", **changes))
+        settings, tuple(found), dataclasses.replace(full, name="planned", **changes),
+        np.minimum(local, np.array([changes["band"], changes["band_inside"]], np.float32)))
 
 
 def put_back(planned: Plan, key: str) -> Preset:
