@@ -127,9 +127,9 @@ class CaptureSynthesise:
 
         assert self.character is not None
         source = Source(self.character, self.animation, self.novel_animation, self.joints)
-        with image_bar() as show:
+        with image_bar("fit") as fitted, image_bar() as show:
             fit = synthesise_character(self.out, source, settings, self.name or self.character.stem,
-                                       self.overwrite, show, self.light)
+                                       self.overwrite, show, self.light, fitted)
         for note in fit["notes"]:
             print(note)
         joints = fit["joints_mm"]

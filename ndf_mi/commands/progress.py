@@ -75,18 +75,23 @@ class ConsoleProgress(core.Progress):
 
 
 @contextmanager
-def image_bar() -> Iterator[Callable[[int, int], None]]:
-    """Yields a function of the numbers of finished and of all images. The bar starts with its first call, so
-    that errors before it come without a bar."""
+def image_bar(what: str = "images") -> Iterator[Callable[[int, int], None]]:
+    """Yields a function of the numbers of finished and of all images, or of ``what``. The bar starts with its
+    first call, so that errors before it come without a bar, and ends when all are finished, so that another
+    one can follow."""
     columns = (rich.BarColumn(), rich.MofNCompleteColumn(), rich.TimeElapsedColumn())
     bar = rich.Progress("{task.description}", *columns, rich.TimeRemainingColumn())
-    task = bar.add_task("images", total=None)
+    task = bar.add_task(what, total=None)
 
     def show(done: int, total: int) -> None:
-        bar.start()
+        if not bar.finished:
+            bar.start()
         bar.update(task, completed=done, total=total)
+        if bar.finished:
+            bar.stop()
 
     try:
         yield show
     finally:
-        bar.stop()
+        if not bar.finished:
+            bar.stop()

@@ -15,6 +15,7 @@ from ndf_mi.capture.camera import Camera, look_at
 from ndf_mi.capture.capture import Capture
 from ndf_mi.capture.check import problems
 from ndf_mi.capture.synthesise import plan
+from ndf_mi.capture.synthesise.character import make
 from ndf_mi.capture.synthesise.character.make import Source, synthesise_character
 from ndf_mi.capture.synthesise.layers import Layer, Picture
 from ndf_mi.capture.synthesise.studio import Studio
@@ -93,11 +94,22 @@ def test_the_capture_is_sound_and_the_body_is_in_its_masks(made: tuple[Path, Sou
 
 
 def test_an_interrupted_capture_goes_on_and_another_file_is_refused(made: tuple[Path, Source, dict],
-                                                                    tmp_path: Path) -> None:
+                                                                    tmp_path: Path,
+                                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     out, source, figures = made
     calls: list[tuple[int, int]] = []
     again = synthesise_character(out, source, plan.SIZES["tiny"], progress=lambda *n: calls.append(n))
     assert again == figures and calls == [(1, 1)]
+    # Without capture.json and an image, that image alone is rendered again, and is the same.
+    capture = Capture.read(out)
+    monkeypatch.setattr(make, "fit", lambda *_: (capture.body, capture.poses))
+    missing = next(out.glob("images/*/*.png"))
+    before = missing.read_bytes()
+    missing.unlink()
+    (out / "capture.json").unlink()
+    calls.clear()
+    synthesise_character(out, source, plan.SIZES["tiny"], progress=lambda *n: calls.append(n))
+    assert calls == [(12, 13), (13, 13)] and missing.read_bytes() == before and problems(out) == []
     assert "character" in json.loads((out / "synthesis.json").read_text())
     glb = boxes()
     glb.json["asset"]["generator"] = "another"
