@@ -24,11 +24,13 @@ class Silhouettes:
         mesh = make_mesh("body", vertices.astype(np.float32), faces.astype(np.uint32))
         self._scene = mi.load_dict({"type": "scene", "body": mesh})
         self._parameters = mi.traverse(self._scene)
+        self._vertices = vertices
 
     def set_vertices(self, vertices: np.ndarray) -> None:
         """Moves the vertices to these (V, 3), metres in world space."""
         set_vertices(self._parameters, vertices.astype(np.float32), "body")
         self._parameters.update()
+        self._vertices = vertices
 
     def hits(self, camera: Camera, pixels: np.ndarray, distance: np.ndarray | None = None) -> np.ndarray:
         """(N,) bool, whether the rays through these (N, 2) pixel coordinates meet the mesh.
@@ -47,8 +49,17 @@ class Silhouettes:
 
     def silhouette(self, camera: Camera) -> np.ndarray:
         """(h, w) bool, whether the ray through each pixel's centre meets the mesh."""
-        y, x = np.mgrid[0 : camera.h, 0 : camera.w].reshape(2, -1) + 0.5
-        return self.hits(camera, np.stack([x, y], axis=1)).reshape(camera.h, camera.w)
+        whole = np.zeros((camera.h, camera.w), dtype=bool)
+        points = camera.project(self._vertices)
+        low, high = np.zeros(2, dtype=int), np.array([camera.w, camera.h])
+        if np.isfinite(points).all():  # otherwise some are behind the camera, and may be seen anywhere
+            low, high = (np.clip(corner, 0, high).astype(int)
+                         for corner in (np.floor(points.min(axis=0)), np.ceil(points.max(axis=0))))
+        part = np.s_[low[1] : high[1], low[0] : high[0]]
+        y, x = (values.ravel() + 0.5 for values in np.mgrid[part])
+        if len(x):
+            whole[part] = self.hits(camera, np.stack([x, y], axis=1)).reshape(whole[part].shape)
+        return whole
 
 
 def agreement(silhouettes: Sequence[np.ndarray], masks: Sequence[np.ndarray]) -> float:

@@ -35,3 +35,13 @@ def test_agreement_is_the_mean_intersection_over_union():
     assert agreement([one, one], [other, one]) == pytest.approx((1 / 3 + 1) / 2)
     assert agreement([one], [~one]) == 0
     assert agreement([np.zeros((2, 2), bool)], [np.zeros((2, 2), bool)]) == 1
+
+
+def test_a_mesh_beside_or_behind_the_camera_has_an_empty_or_a_whole_search(capture):
+    camera = capture.cameras["c0"]
+    right = np.asarray(camera.transform)[:3, 0]
+    caster = Silhouettes(capture.body.faces, capture.body.template)
+    caster.set_vertices(capture.body.template + 10 * right)
+    assert not caster.silhouette(camera).any()
+    caster.set_vertices(0.1 * capture.body.template + camera.position)  # the camera is inside
+    assert caster.silhouette(camera).all()
