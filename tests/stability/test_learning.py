@@ -24,6 +24,7 @@ from ndf_mi.learn.batch import Batch
 from ndf_mi.learn.loop import start
 from ndf_mi.learn.loss import ImageLoss, NoisyLoss
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.prepare import Reference
 from ndf_mi.learn.trainer import Trainer
 from ndf_mi.render.quadrature import Radiance
 from ndf_mi.stability.ball import RADIUS, charts, icosphere, looking
@@ -56,7 +57,9 @@ def training(options: TrainingOptions, image: float = 0.5, lone: bool = False) -
             writer.write(name, 0, np.where(mask[..., None], image, 1.0) * np.ones(3), mask)
         writer.finish(body, poses)
         tiny = dataclasses.replace(preset("tiny"), band_inside=0.08)
-        yield start(Path(folder) / "run", Capture.read(writer.path), tiny, options)
+        # With a reference surface given, a mask that is nearly empty is not refused.
+        yield start(Path(folder) / "run", Capture.read(writer.path), tiny, options,
+                    surface=Reference(body, poses))
 
 
 def weights_of(trainer: Trainer) -> np.ndarray:
