@@ -13,9 +13,9 @@ from ndf_mi.capture.synthesise.character.geometry import Part, read_parts
 from ndf_mi.capture.synthesise.character.joints import match_joints, order_by_depth
 from ndf_mi.errors import InputError
 
-#: Metres from the ankles to the head's joint of what counts as in metres: statures of 1 to 2.5 m.
-_LEAST, _MOST = 0.8, 2.1
-#: In metres: the length of the same line in an average adult.
+#: The largest extent of what counts as in metres.
+_LEAST, _MOST = 1.0, 2.5
+#: Metres along the legs from the ankles to the hips, and on to the head's joint, in an average adult.
 _AVERAGE = 1.42
 _UNITS = {0.01: "centimetres", 0.001: "millimetres", 0.0254: "inches", 0.3048: "feet"}
 #: Frames a second at which animations are compared.
@@ -48,7 +48,7 @@ class Character:
         self.animations: list[Animation] = [a for a in read_animations(buffers) if a.duration > 0]
         if not self.animations:
             raise document.error("animations", "no animation that moves the character", "an animation")
-        self._upright = _upright(self.nodes, self.joints, self.notes)
+        self._upright = _upright(self.nodes, self.joints, self.parts, self.notes)
         if not all(np.isfinite(part.rest).all() for part in self.parts):
             raise document.error("meshes", "vertices that are not finite", "finite numbers")
 
@@ -91,7 +91,7 @@ def _bind(parts: list[Part], nodes: Nodes, needed: set[int]) -> np.ndarray:
     return out
 
 
-def _upright(nodes: Nodes, joints: dict[str, int], notes: list[str]) -> np.ndarray:
+def _upright(nodes: Nodes, joints: dict[str, int], parts: list[Part], notes: list[str]) -> np.ndarray:
     """(4, 4) from the file's world to one with y up, in metres."""
     world = nodes.world(nodes.local())[0]
     feet, hips = ([joints[f"{side}{name}"] for side in ("Left", "Right")] for name in ("Foot", "UpLeg"))
@@ -109,10 +109,12 @@ def _upright(nodes: Nodes, joints: dict[str, int], notes: list[str]) -> np.ndarr
         up = np.sign(axis[2])
         out[:3, :3] = [[1, 0, 0], [0, 0, up], [0, -up, 0]]
         notes.append("The character lay along z at rest; z became the vertical.")
-    if not _LEAST <= length <= _MOST:
-        factor = next((f for f in _UNITS if _LEAST <= f * length <= _MOST), _AVERAGE / length)
-        unit = f" as in {_UNITS[factor]}" if factor in _UNITS else ""
-        notes.append(f"Lengths were multiplied by {factor:.4g}: from ankles to head the character is "
-                     f"{length:.4g} long{unit}.")
+    vertices = np.concatenate([part.pose(world[None])[0] for part in parts])
+    size = float(np.ptp(vertices, axis=0).max())
+    if not _LEAST <= size <= _MOST:
+        factor = next((f for f in _UNITS if _LEAST <= f * size <= _MOST), _AVERAGE / length)
+        unit = f", as in {_UNITS[factor]}" if factor in _UNITS else ""
+        notes.append(f"Lengths were multiplied by {factor:.4g}: the character is {size:.4g} high or "
+                     f"wide{unit}.")
         out[:3] *= factor
     return out
