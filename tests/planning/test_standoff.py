@@ -9,6 +9,8 @@ import pytest
 
 from ndf_mi.body.poses import Poses
 from ndf_mi.capture.capture import Capture
+from ndf_mi.field import preset
+from ndf_mi.planning.bands import place_bands
 from ndf_mi.planning.observations import chosen_frames, observe
 from ndf_mi.planning.standoff import Disagreement, standoff
 
@@ -31,6 +33,12 @@ def test_the_stand_off_is_measured_to_a_pixel(capture: Capture, factor: float) -
     truth, pixel = 0.5 * (1 - factor), float(np.median(seen.footprint))
     assert found.outside.reach(0) == pytest.approx(max(truth, 0), abs=pixel)
     assert found.inside.reach(0) == pytest.approx(max(-truth, 0), abs=pixel)
+    # Every disagreeing pixel has its place, and the band there is wide enough.
+    part = found.outside if truth > 0 else found.inside
+    assert (part.triangle >= 0).all() and (part.triangle < len(other.body.faces)).all()
+    widths = place_bands(other.poses.vertices[0], other.body.faces, found, 0.0, pixel / 2, preset("fast"))
+    needed = [(max(truth, pixel / 2) + pixel / 2) / 0.8, max(-truth, 0) + pixel / 2]
+    assert (widths.max(0) > np.array(needed) - pixel).all() and widths[:, 0].max() < 2 * needed[0] + 0.05
 
 
 def test_distant_pixels_that_cost_little_are_ignored() -> None:
