@@ -38,7 +38,6 @@ import tyro
 from growth_fit import fit_growth
 
 from ndf_mi import variants
-from ndf_mi.projection import PosedSurface
 
 variants.use()
 
@@ -177,7 +176,7 @@ def draw(run: Run, camera: Camera, setting: Setting) -> None:
 
 def pose(run: Run, vertices: mi.Float) -> None:
     """Poses the body and makes everything that searches need."""
-    surface = PosedSurface(run.model.surface, vertices, run.model.band)
+    surface = run.model.pose(vertices)
     dr.eval(surface.bbox.min, surface.closest(mi.Point3f(0.0, 0.0, 0.0), mi.Bool(True)))
 
 
