@@ -46,10 +46,10 @@ def place_bands(rest: np.ndarray, faces: np.ndarray, found: Standoff, allowed_er
                 full: Preset, residual: np.ndarray | None = None) -> np.ndarray:
     """The widths that the band needs at each vertex.
 
-    Around each vertex, disagreeing pixels of all frames and cameras are pooled, and the width there covers
-    all but those that together cost no more than `allowed_error` a mask pixel, of which each neighbourhood
-    has its share by area. Widths then change over the body by at most :data:`SLOPE`: the wide places widen
-    what is around them.
+    Around each vertex, disagreeing pixels of all frames and cameras are pooled. The width there covers all
+    but some that cost in proportion to the neighbourhood's area. All that is left out costs no more than
+    `allowed_error` a mask pixel. Widths then change over the body by at most :data:`SLOPE`: the wide places
+    widen what is around them.
 
     What a ray shows is at least as far off as the ray is. A place that no camera has seen at the outline has
     the width that its surroundings give it.
@@ -69,9 +69,9 @@ def place_bands(rest: np.ndarray, faces: np.ndarray, found: Standoff, allowed_er
     rest = np.asarray(rest, np.float64)
     area = _vertex_areas(rest, faces)
     near = _neighbourhoods(rest)
-    allowed = allowed_error * found.pixels * (near @ area) / max(area.sum(), 1e-30)
+    share, allowed = (near @ area) / max(area.sum(), 1e-30), allowed_error * found.pixels
     off = 0 if residual is None else np.maximum(residual, 0)
-    outside, inside = (np.minimum(np.maximum(_reach(part, faces, len(rest), near, allowed), off), REACH)
+    outside, inside = (np.minimum(np.maximum(_reach(part, faces, near, share, allowed), off), REACH)
                        for part in (found.outside, found.inside))
     needed = np.maximum(widths(outside, inside, half, full), LEAST)
     spread = np.stack([spread_out(rest, faces, width) for width in needed.T], axis=1)
@@ -96,9 +96,11 @@ def spread_out(rest: np.ndarray, faces: np.ndarray, width: np.ndarray, slope: fl
         width = wider
 
 
-def _reach(part: Disagreement, faces: np.ndarray, count: int, near: csr_array,
-           allowed: np.ndarray) -> np.ndarray:
-    """(V,) the distance beyond which the pixels around each vertex together cost at most `allowed`."""
+def _reach(part: Disagreement, faces: np.ndarray, near: csr_array, share: np.ndarray,
+           allowed: float) -> np.ndarray:
+    """(V,) distances beyond which all pixels together cost at most `allowed`, those around each vertex in
+    proportion to its `share` (V,) of the area."""
+    count = len(share)
     placed = part.triangle >= 0
     bins = math.ceil(REACH / _STEP) + 1
     at = np.minimum(np.ceil(part.distance[placed] / _STEP).astype(np.int64), bins - 1)
@@ -106,8 +108,15 @@ def _reach(part: Disagreement, faces: np.ndarray, count: int, near: csr_array,
     cost = np.bincount((corners * bins + at[:, None]).ravel(), np.repeat(part.cost[placed] / 3, 3),
                        minlength=count * bins).reshape(count, bins)
     beyond = np.cumsum((near @ cost)[:, ::-1], axis=1)[:, ::-1]
-    # The last step at which more than that lies there or beyond.
-    return np.where(beyond > allowed[:, None], np.arange(bins) * _STEP, 0).max(axis=1)
+    reach = np.zeros(count)
+    # Most neighbourhoods have nothing to leave out. The others may have several times their shares.
+    for times in np.geomspace(4096, 1, 25):
+        # The last step at which more than allowed lies there or beyond.
+        reach = np.where(beyond > times * allowed * share[:, None], np.arange(bins) * _STEP, 0).max(axis=1)
+        left_out = part.distance[placed] > reach[corners].mean(axis=1)
+        if part.cost[placed][left_out].sum() <= allowed:
+            break
+    return reach
 
 
 def _neighbourhoods(rest: np.ndarray) -> csr_array:
