@@ -4,9 +4,10 @@ that do not.
     python benchmarks/plan.py captures/plan --steps 3000 --seeds 3
     python benchmarks/plan.py captures/plan --only poses --put-back colour band detail
 
-Makes the captures below if they are missing (about a minute each), plans each, and trains several models in
-turns, one step each, so that other work on the machine affects all alike: the full model, the planned one,
-the planned one without each part that the capture was made to need, and, for each finding named by
+Makes the captures below if they are missing (about a minute each), fits a reference surface to each, plans
+it, and trains several models around that surface in turns, one step each, so that other work on the machine
+affects all alike: the full model, the planned one, the planned one without each part that the capture was
+made to need, and, for each finding named by
 `--put-back`, the planned one with everything that this finding removed. `--seeds` repeats all of it with
 other initial weights and rays.
 
@@ -57,10 +58,11 @@ from ndf_mi.field import Preset  # noqa: E402
 from ndf_mi.json_input import load_json  # noqa: E402
 from ndf_mi.learn.loop import start  # noqa: E402
 from ndf_mi.learn.options import TrainingOptions  # noqa: E402
+from ndf_mi.learn.prepare import Reference, planned, reference, with_bands  # noqa: E402
 from ndf_mi.learn.trainer import Trainer  # noqa: E402
 from ndf_mi.methods.ndf import NeuralField  # noqa: E402
 from ndf_mi.planning.plan import Plan  # noqa: E402
-from ndf_mi.planning.planner import full_model, plan, put_back  # noqa: E402
+from ndf_mi.planning.planner import full_model, put_back  # noqa: E402
 from ndf_mi.source_digest import code_digest, sources_digest  # noqa: E402
 
 WORTH, SHARE = 0.1, 0.6
@@ -100,11 +102,15 @@ CAPTURES = {
     "light": Made(dataclasses.replace(TIGHT, motion="turn"), ("light",)),
     "gloss": Made(dataclasses.replace(TIGHT, motion="turn", surface="glossy"), ("light", "view")),
     "sheen": Made(dataclasses.replace(TIGHT, surface="glossy")),
-    "loose": Made(dataclasses.replace(TIGHT, clothes="loose"), ("band",)),
-    "folds": Made(Look(surface="matte"), ("pose", "light", "band")),
+    "loose": Made(dataclasses.replace(TIGHT, clothes="loose")),
+    "folds": Made(Look(surface="matte"), ("pose", "light")),
+    "bag": Made(Look("still", hair="big", bag=True, surface="matte")),
+    "skirt": Made(Look(clothes="skirt", hair="big", surface="matte"), ("pose", "light", "band")),
+    "coat": Made(Look(clothes="coat", hair="hat", surface="matte"), ("pose", "light", "band")),
 }
 """By name. `plain`, `carried`, whose light turns with the performer, and `poses`, which moves without
-changing, need nothing; `sheen` needs nothing that can be measured; the others need something."""
+changing, need nothing; `sheen` needs nothing that can be measured; `loose` and `bag` stand off, but the
+reference surface follows them; the cloth of `skirt` and `coat` leaves it as the legs move."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +201,8 @@ def main(options: Options) -> None:
         made = CAPTURES[name]
         capture = Capture.read(synthesise(options.folder / name, SIZES["plan"], light=made.light,
                                           look=made.look))
-        found = plan(capture)
+        surface = reference(capture, TrainingOptions())
+        found = planned(capture, surface).plan
         compared = models(made, found, options.put_back)
         trained = []
         for seed in range(options.seed, options.seed + options.seeds):
@@ -207,9 +214,8 @@ def main(options: Options) -> None:
                   "sources": sources()}
             key = hashlib.sha256(json.dumps(of, sort_keys=True).encode()).hexdigest()[:20]
             if key not in known:
-                known[key] = {"of": of,
-                              "rows": [dataclasses.asdict(row)
-                                       for row in study(name, capture, compared, options, seed)]}
+                rows = study(name, capture, surface, found, compared, options, seed)
+                known[key] = {"of": of, "rows": [dataclasses.asdict(row) for row in rows]}
                 files.write_json(kept, known)
             trained.append([Row(**row) for row in known[key]["rows"]])
         verdicts += shown(name, made, found, [summary(rows) for rows in zip(*trained, strict=True)], options)
@@ -218,7 +224,8 @@ def main(options: Options) -> None:
 
 def sources() -> str:
     """SHA-256 (hex) of the sources that train and render."""
-    return hashlib.sha256((code_digest() + sources_digest("learn")).encode()).hexdigest()
+    digests = code_digest() + sources_digest("learn", "surface", "planning")
+    return hashlib.sha256(digests.encode()).hexdigest()
 
 
 def models(made: Made, found: Plan, back: tuple[str, ...]) -> dict[str, Preset]:
@@ -237,13 +244,15 @@ def summary(rows: tuple[Row, ...]) -> Summary:
                    float(np.mean([row.image for row in rows])))
 
 
-def study(name: str, capture: Capture, presets: dict[str, Preset], options: Options, seed: int) -> list[Row]:
-    """Trains models in turns, then renders them in turns."""
+def study(name: str, capture: Capture, surface: Reference, found: Plan, presets: dict[str, Preset],
+          options: Options, seed: int) -> list[Row]:
+    """Trains models in turns around the same surface, then renders them in turns."""
     rows = [Row(name) for name in presets]
     training = TrainingOptions(steps=options.steps, seed=seed)
     with tempfile.TemporaryDirectory() as folder:
-        trainers = [start(Path(folder) / str(i), capture, preset, training) for i,
-                    preset in enumerate(presets.values())]
+        trainers = [start(Path(folder) / str(i), capture, preset, training,
+                          surface=with_bands(surface, found, preset, training))
+                    for i, preset in enumerate(presets.values())]
         steps = track(range(options.steps), f"{name}, seed {seed}: training {len(rows)} models",
                       console=Console(file=sys.stderr))
         seconds = np.array([[_timed(trainer) for trainer in trainers] for _ in steps])
@@ -281,7 +290,7 @@ def _timed(trainer: Trainer) -> float:
 
 def shown(name: str, made: Made, found: Plan, rows: list[Summary], options: Options) -> list[str]:
     """Prints a capture's table; returns which claims hold on it."""
-    full, planned = rows[0], rows[1]
+    full, chosen = rows[0], rows[1]
     print(f"{name}: needs {', '.join(made.needs) or 'nothing'}; the plan leaves out "
           + ", ".join(f"{finding.key} ({finding.left_out})"
                       for finding in found.findings if finding.left_out))
@@ -304,15 +313,15 @@ def shown(name: str, made: Made, found: Plan, rows: list[Summary], options: Opti
            "band": p.band > 1.5 * BAND["band"]}
     verdicts = [_verdict(name, f"{part} is {'kept' if has[part] else 'left out'}",
                          has[part] == (part in made.needs)) for part in PARTS]
-    verdicts.append(_verdict(name, f"planned {_difference(planned, full)} to the full model",
-                             planned.to(full)[0] >= -WORTH))
-    for what, ratio in (("training", planned.step / full.step),
-                        ("rendering", planned.image / full.image)) if not made.needs else ():
+    verdicts.append(_verdict(name, f"planned {_difference(chosen, full)} to the full model",
+                             chosen.to(full)[0] >= -WORTH))
+    for what, ratio in (("training", chosen.step / full.step),
+                        ("rendering", chosen.image / full.image)) if not made.needs else ():
         verdicts.append(_verdict(name, f"{what} in {100 * ratio:.0f} % of the full model's time",
                                  ratio <= SHARE))
     for row in rows[2 : 2 + len(made.needs)]:
-        verdicts.append(_verdict(name, f"{row.model} {_difference(row, planned)} to the planned one",
-                                 row.to(planned)[0] < -WORTH))
+        verdicts.append(_verdict(name, f"{row.model} {_difference(row, chosen)} to the planned one",
+                                 row.to(chosen)[0] < -WORTH))
     return verdicts
 
 
