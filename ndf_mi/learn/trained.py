@@ -70,8 +70,9 @@ def expect_options(run: Run, capture: Capture, preset: Preset | None, options: T
         have, want = dataclasses.asdict(before), dataclasses.asdict(now)
         other = sorted(option for option in want if have[option] != want[option])
         if other:
-            raise InputError(f"{run.path / 'config.json'}: {key}", f"{other[0]} = {have[other[0]]!r}",
-                             f"{want[other[0]]!r}, the value asked for",
+            found, asked = (", ".join(f"{name} = {values[name]!r}" for name in other)
+                            for values in (have, want))
+            raise InputError(f"{run.path / 'config.json'}: {key}", found, f"{asked}, as asked for",
                              "Give the options that the run was started with, or use another folder.")
 
 

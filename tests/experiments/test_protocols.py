@@ -225,7 +225,7 @@ def advised(text):
     """Preset and options of the command in backquotes that a text recommends."""
     words = shlex.split(re.search("`ndf-mi (optimise [^`]*)`", text)[1])
     command = tyro.cli(Optimise, args=[*words[1:], "CAPTURE", "-o", "RUN"])
-    return configured(command.preset, command.option)
+    return configured(command.preset or "fast", command.option)
 
 
 def test_recommended_commands_can_be_typed():

@@ -43,5 +43,6 @@ def test_a_preset_field_that_older_runs_lack_is_compared(capture, tmp_path, prod
     )
     run = start(tmp_path / "run", capture, with_, OPTIONS).run
     expect_options(run, capture, with_, OPTIONS)
-    with pytest.raises(InputError, match=f"pose_products = {products}; expected {not products}"):
+    asked = f"pose_products = {products}; expected pose_products = {not products}"
+    with pytest.raises(InputError, match=asked):
         expect_options(run, capture, without, OPTIONS)
