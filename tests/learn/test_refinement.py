@@ -153,6 +153,23 @@ def test_the_loss_has_the_gradients_of_differences(skinned_capture, tmp_path):
         assert (high - low) / (2 * size) == pytest.approx(gradient @ along, rel=0.05), name
 
 
+def test_steps_that_know_no_corrections_see_them_in_frozen_batches(skinned_capture, tmp_path):
+    options = dataclasses.replace(OPTIONS, refine=("pose", "shape", "cameras"), skip_empty=False,
+                                  refine_prior=0.0)
+    trainer = start(tmp_path / "run", skinned_capture, TINY, options)
+    batch = trainer.batches(np.random.default_rng(0), False, False)
+    step = QuadratureStep(trainer.run, options, None, trainer.refinement)
+    rng = np.random.default_rng(1)
+    corrections = Corrections(**{name: mi.Float(rng.normal(size=len(value)).astype(np.float32))
+                                 for name, value in trainer.refinement.initial().items()})
+    plain = float(step(trainer.run.parameters, batch)[0][0])
+    expected = float(step(trainer.run.parameters, batch, corrections)[0][0])
+    trainer.refinement.publish(corrections)
+    frozen = trainer.refinement.frozen(corrections, batch)
+    found = float(QuadratureStep(trainer.run, options, None)(trainer.run.parameters, frozen)[0][0])
+    assert found == pytest.approx(expected, rel=1e-4) and expected != pytest.approx(plain, rel=1e-3)
+
+
 @pytest.mark.parametrize("names", [("hands",), ("pose", "pose")])
 def test_unknown_and_repeated_names_are_refused(names):
     with pytest.raises(InputError, match="refine"):
