@@ -29,9 +29,10 @@ JOINT_SPREAD = {"UpLeg": 0.03, "Leg": 0.015, "Foot": 0.015, "ToeBase": 0.02, "Ar
                 "Hand": 0.01, "HandFinger1": 0.015, "Neck": 0.05, "Head": 0.08}
 _SHAPE, _SIZE = 1.0, 0.1
 _TURN, _FRAME_TURN = np.radians(12.0), np.radians(2.0)
-#: Cloth further than this from the body says little about the body.
-_LOOSE = 0.012
-_SURFACE, _REACH = 0.008, 0.06
+#: Metres: cloth further than this from the body says little about the body, in the first and the last step.
+#: A narrow limit from the start would take a stout character's clothes for loose ones.
+_LOOSE = 0.08, 0.012
+_SURFACE, _REACH = 0.008, 0.12
 _VERTICES = 1200
 _JOINT_STEPS, _SURFACE_STEPS = 12, 14
 #: Most radians that a joint turns in one step.
@@ -92,7 +93,8 @@ def fit(body: Body, target: Target, progress: Callable[[int, int], None] = lambd
     rig = Rig(body, vertices)
     for step in range(_SURFACE_STEPS):
         shaped = replace(body, template=_shaped(body, state))
-        state = _step(rig, state, chosen, wanted, spread, _Surface(shaped, vertices, target.skin))
+        loose = max(_LOOSE[0] * 0.8**step, _LOOSE[1])
+        state = _step(rig, state, chosen, wanted, spread, _Surface(shaped, vertices, target.skin, loose))
         progress(_JOINT_STEPS + step + 1, steps)
     return _result(body, state)
 
@@ -105,7 +107,8 @@ def limb(joint: str) -> str:
 class _Surface:
     """Distances of the body's vertices from the outer surface, with weights."""
 
-    def __init__(self, body: Body, vertices: np.ndarray, outer: Skin) -> None:
+    def __init__(self, body: Body, vertices: np.ndarray, outer: Skin, loose: float) -> None:
+        self._loose = loose
         assert body.template is not None and body.weights is not None
         self.count = len(vertices)
         self._normals = vertex_normals(body.template, body.faces)[vertices]
@@ -117,7 +120,7 @@ class _Surface:
         normals = np.einsum("pj,jik,pk->pi", self._weights, turns, self._normals, optimize=True)
         height, facing, near = self._skin.heights(frame, points, normals, _REACH)
         # What stands out is pushed in; what is far inside is under loose clothes.
-        weight = np.where(height > 0, 2.0, 1 / (1 + (height / _LOOSE) ** 2) ** 2) / _SURFACE**2
+        weight = np.where(height > 0, 2.0, 1 / (1 + (height / self._loose) ** 2) ** 2) / _SURFACE**2
         rows = np.flatnonzero(near)
         return rows, facing[rows], height[rows], weight[rows]
 

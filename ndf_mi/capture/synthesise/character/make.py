@@ -35,7 +35,7 @@ from ndf_mi.files import write_json
 from ndf_mi.json_input import load_json
 
 #: Increased whenever the same settings give other pictures or another body.
-RECIPE = 1
+RECIPE = 2
 _SKIN_POINTS = 12_000
 
 
