@@ -23,11 +23,11 @@ from scipy.ndimage import map_coordinates
 from scipy.sparse.linalg import splu
 
 from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.silhouette import Silhouettes, agreement
 from ndf_mi.surface.contours import NEARER, SIDE, Contours, ContourSamples, projection_vjp
 from ndf_mi.surface.degenerate import degenerate_triangles, repair
 from ndf_mi.surface.outline_views import Views
 from ndf_mi.surface.rest_frames import RestFrames
-from ndf_mi.surface.silhouettes import Silhouettes, agreement
 from ndf_mi.surface.smoothing import cotangent_stiffness, vertex_areas
 
 SAMPLES = 768
@@ -96,7 +96,7 @@ class OutlineFit:
     def __init__(self, rest: RestFrames, faces: np.ndarray, seed: int) -> None:
         self._rest, self._faces = rest, faces
         self._contours = Contours(faces)
-        self._caster = Silhouettes(faces, rest.vertices)
+        self._caster = Silhouettes(faces, len(rest.vertices))
         self._areas = vertex_areas(rest.vertices, faces)
         self._stiffness = cotangent_stiffness(rest.vertices, faces)
         self._random = np.random.default_rng([seed, 2])
@@ -134,8 +134,8 @@ class OutlineFit:
         """The mean intersection over union of masks and silhouettes."""
         silhouettes, masks = [], []
         for frame, seen in views.items():
-            self._caster.set_vertices(self._rest.posed(frame, self.offsets))
-            silhouettes += [self._caster.silhouette(camera) for camera, _ in seen]
+            self._caster.pose(self._rest.posed(frame, self.offsets))
+            silhouettes += [self._caster.draw(camera) for camera, _ in seen]
             masks += [matte >= 0.5 for _, matte in seen]
         return agreement(silhouettes, masks)
 
@@ -170,13 +170,13 @@ class OutlineFit:
         totals = np.zeros((count, 6))
         for frame, seen in views.items():
             posed = self._rest.posed(frame, self.offsets)
-            self._caster.set_vertices(posed)
+            self._caster.pose(posed)
             planes = self._contours.planes(posed)
             sums = np.zeros((count, 6))
             for camera, matte in seen:
                 self._add(sums, posed, planes, camera, matte)
                 if collected is not None:
-                    collected[0].append(self._caster.silhouette(camera))
+                    collected[0].append(self._caster.draw(camera))
                     collected[1].append(matte >= 0.5)
             sums[:, 1:4] = self._rest.vjp(frame, sums[:, 1:4])
             totals += sums
