@@ -163,6 +163,11 @@ class Run:
         """The field's parameters as numpy arrays by name."""
         return self.parameters.arrays()
 
+    def tensors(self) -> dict[str, np.ndarray]:
+        """The field's parameters and how the surface differs from the capture's body, by name: what cache keys
+        of images depend on."""
+        return self.field_tensors() | self.surface_tensors
+
     def save(self) -> None:
         """Writes the run, each file completely or not at all, ``config.json`` last."""
         json.dumps(self.config, allow_nan=False)  # Fails before anything is written.
@@ -188,10 +193,13 @@ class Run:
         self.save_surface()
 
     def save_surface(self) -> None:
-        """Writes only `surface.safetensors`, if there is anything to write."""
-        if self.surface_tensors:
-            with files.replacing(self.path / SURFACE) as beside:
-                save_file(self.surface_tensors, beside)
+        """Writes only `surface.safetensors`, or deletes it where there is nothing to write: an unfinished run
+        of other options may have left one."""
+        if not self.surface_tensors:
+            (self.path / SURFACE).unlink(missing_ok=True)
+            return
+        with files.replacing(self.path / SURFACE) as beside:
+            save_file(self.surface_tensors, beside)
 
     def surface(self, frame: int) -> PosedSurface:
         """The reference surface at a frame, ready for queries; the most recently used frames are kept. Raises

@@ -75,6 +75,15 @@ def test_the_reference_surface_is_kept_with_the_run(make_run):
     assert read.bands is None and read.config["version"] == 1
 
 
+def test_a_run_around_the_body_leaves_no_older_surface(make_run):
+    run = make_run()
+    run.surface_tensors = {"bands": np.full((run.poses.vertices.shape[1], 2), 0.01, np.float32)}
+    run.save_surface()
+    run.surface_tensors = {}
+    run.save()
+    assert not (run.path / SURFACE).exists() and Run.load(run.path).bands is None
+
+
 def test_a_surface_that_does_not_fit_is_named(make_run):
     run = make_run()
     run.surface_tensors = {"offsets": np.zeros((1, 3), np.float32)}

@@ -85,7 +85,7 @@ def reference(capture: Capture, options: TrainingOptions, show: Show = lambda te
     budget = min(SHARE * options.seconds, LONGEST) if options.seconds > 0 else None
     show("fitting the reference surface")
     fitted = fit_reference(capture.with_body(body, capture.poses), budget, options.seed,
-                           lambda seconds, step, loss: show(f"fitting the reference surface: step {step}"))
+                           lambda seconds, step, done: show(f"fitting the reference surface: {done:.0%}"))
     return Reference(fitted.body, fitted.poses, {"offsets": fitted.offsets}, fitted.residual,
                      fitted.agreement, fitted.seconds)
 

@@ -147,8 +147,10 @@ class Trainer:
             self._guard.refuse(self._taken + 1)
         else:
             self._record(statistics)
-            self._measure_held_back()
         self._seconds += time.perf_counter() - started
+        if statistics is not None:
+            # With this step's time, which may be the one that ends the training.
+            self._measure_held_back()
 
     def publish(self) -> None:
         """Copies the parameters, detached, to the run, and the corrections to its fit: those with the least
@@ -271,11 +273,12 @@ class Trainer:
         """Renders the held-back rays if it is time to, and keeps the parameters if they are the best."""
         if self._held_back is None:
             return
-        done = self.done
+        started, done = time.perf_counter(), self.done
         if done >= 1 or (self._taken % EVERY == 0 and done - self._best.last_done >= 0.999 * SHARE):
             image_error = partial(self._quadrature.image_error, corrections=self.corrections)
             error = self._held_back.error(image_error, self.parameters)
             self._best.observe(self._taken, done, error, self.optimisers)
+            self._seconds += time.perf_counter() - started
 
     def _set_rates(self) -> float:
         """Sets the optimisers' learning rates; returns the largest one."""

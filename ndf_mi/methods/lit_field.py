@@ -120,11 +120,11 @@ class LitField(LitPerformer):
         return self._renderer
 
     def cache_key(self) -> str:
-        """SHA-256 (hex) over the field's parameters, the light and how they are rendered."""
+        """SHA-256 (hex) over the field's parameters, its surface, the light and how they are rendered."""
         preset = self._run.config["preset"]
         settings = (self._light.name, self._spp, self._depth, LAYERS, self._spacing, preset)
         state = hashlib.sha256(" ".join(map(str, settings)).encode())
-        for name, values in sorted(self._run.field_tensors().items()):
+        for name, values in sorted(self._run.tensors().items()):
             state.update(name.encode() + values.tobytes())
         return state.hexdigest()
 

@@ -144,7 +144,7 @@ class NeuralField:
     def cache_key(self) -> str:
         """SHA-256 (hex) over the field's parameters, its surface, and how they are rendered."""
         state = hashlib.sha256(f"{RECIPE} {self.run.config['preset']} {self._renderer.samples}".encode())
-        for name, values in sorted((self.run.field_tensors() | self.run.surface_tensors).items()):
+        for name, values in sorted(self.run.tensors().items()):
             state.update(name.encode() + values.tobytes())
         return state.hexdigest()
 

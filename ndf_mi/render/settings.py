@@ -94,9 +94,9 @@ def converged(spp: int = 1) -> Setting:
 
 
 def field_digest(run: Run) -> str:
-    """SHA-256 (hex) of a field's architecture and parameters and of the rendering recipe: runs with the same
-    digest render the same images at the same settings."""
+    """SHA-256 (hex) of a field's architecture, parameters and surface and of the rendering recipe: runs with
+    the same digest render the same images at the same settings."""
     state = hashlib.sha256(f"{RECIPE} {sorted(run.model.field.preset.to_dict().items())}".encode())
-    for name, values in sorted(run.field_tensors().items()):
+    for name, values in sorted(run.tensors().items()):
         state.update(name.encode() + values.tobytes())
     return state.hexdigest()

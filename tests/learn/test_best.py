@@ -89,6 +89,16 @@ def test_moments_follow_the_clock(capture, tmp_path):
         assert trainer.progress.held_back_step == measured
 
 
+def test_the_step_that_ends_the_time_is_measured(capture, tmp_path):
+    options = dataclasses.replace(OPTIONS, seconds=300.0, steps=10**9)
+    trainer = start(tmp_path / "run", capture, TINY, options)
+    trainer.step()
+    trainer._seconds = 300 - 1e-6
+    trainer.step()
+    now = trainer.progress
+    assert trainer.done == 1 and now.step == now.held_back_step == 2 and now.seconds > 300
+
+
 def test_nothing_is_kept_without_held_back_views(capture, tmp_path):
     options = dataclasses.replace(OPTIONS, steps=2, held_back=0.0)
     trainer = start(tmp_path / "run", capture, TINY, options)
