@@ -164,8 +164,8 @@ class Run:
         return self.parameters.arrays()
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """The field's parameters and how the surface differs from the capture's body, by name: what cache keys
-        of images depend on."""
+        """The field's parameters and how the surface differs from the capture's body, by name, for cache keys
+        of images."""
         return self.field_tensors() | self.surface_tensors
 
     def save(self) -> None:

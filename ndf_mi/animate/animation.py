@@ -79,7 +79,8 @@ def boxes(performance: Performance) -> np.ndarray:
 
 
 def _field_digest(run: Run) -> str:
-    """SHA-256 of the architecture, the parameters, and the body, poses and bands that they were trained with."""
+    """SHA-256 of the architecture, the parameters, and the body, poses and bands that they were trained
+    with."""
     digest = hashlib.sha256(json.dumps(run.config["preset"], sort_keys=True).encode())
     for _, tensor in sorted(run.tensors().items()):
         digest.update(tensor.tobytes())

@@ -115,8 +115,10 @@ class Optimise:
         planning = self._plans(training)
         from_file = None
         if planning and self.model not in (None, "auto"):
-            from_file = read_preset(Path(str(self.model)), capture.digest)
+            from_file = read_preset(Path(str(self.model)), capture.digest, training.surface)
         expect_new(self.out)
+        if self.integrator != QUADRATURE:
+            capture.known_lighting()  # Refused here, before the surface's fit takes its time.
         with status() as show:
             surface = reference(capture, training, show)
         base, plan, spent, found = None, None, 0.0, None
@@ -168,7 +170,7 @@ def _kept(trainer: Trainer) -> str:
     if now.kept_step is not None:
         best = f"{now.kept_psnr:.2f} dB on held-back training views"
         if now.kept_step == now.step:
-            return f"{best}, the most of the training"
+            return f"{best}, the best of the training"
         return (f"{best} at step {now.kept_step}, whose field is kept; {now.held_back_psnr:.2f} dB at step "
                 f"{now.held_back_step}")
     reason = ("held_back=0" if options.held_back == 0 else

@@ -45,6 +45,11 @@ class Reference:
     agreement: float | None = None
     seconds: float = 0.0
 
+    @property
+    def kind(self) -> str:
+        """The training option `surface` that made it: `offset` or `body`."""
+        return "offset" if "offsets" in self.tensors else "body"
+
     def seen_by(self, capture: Capture) -> Capture:
         """The capture with this surface in place of its body."""
         return capture.with_body(self.body, self.poses)
@@ -100,7 +105,7 @@ def planned(capture: Capture, surface: Reference, settings: PlanSettings = PlanS
     started = time.perf_counter()
     found = plan(surface.seen_by(capture), settings, lambda step: show(f"planning the model: {step}"),
                  surface.residual)
-    return Planned(found, time.perf_counter() - started)
+    return Planned(replace(found, surface=surface.kind), time.perf_counter() - started)
 
 
 def with_bands(surface: Reference, plan: Plan, preset: Preset, options: TrainingOptions) -> Reference:

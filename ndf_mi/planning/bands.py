@@ -23,7 +23,8 @@ SLOPE = 0.5
 LEAST = 0.015
 #: Transmittance at which a performer counts as opaque; sets how deep the density must reach.
 TRANSPARENT = 1e-3
-#: Share of the band, from the body outwards, in which training does not penalise density.
+#: Share of the band, from the body outwards, in which training does not penalise density. The surface must
+#: lie within.
 USABLE = 0.8
 #: Steps of distance in metres that costs are summed in.
 _STEP = 0.002

@@ -11,15 +11,11 @@ from scipy.spatial.transform import Rotation
 from ndf_mi.body.poses import Poses
 from ndf_mi.field import Preset
 from ndf_mi.planning.appearance import Estimate
+from ndf_mi.planning.bands import TRANSPARENT, USABLE
 from ndf_mi.planning.detail import Detail
 from ndf_mi.planning.plan import Finding, PlanSettings
 from ndf_mi.planning.standoff import REACH, Standoff
 
-#: Transmittance at which a performer counts as opaque; sets how deep the density must reach.
-_TRANSPARENT = 1e-3
-#: Share of the band, from the body outwards, in which training does not penalise density. The surface must
-#: lie within.
-_USABLE = 0.8
 #: Cells of the grid's finest level per pixel. Views and frames divide the body into pixels differently, so
 #: together they show more than one of them. Cells as large as a pixel cost 0.3 to 0.9 dB; two per pixel are
 #: no better than this.
@@ -122,11 +118,11 @@ def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Pr
     # rays. Without room for it, tight clothes under pixels of 24 mm lost 0.9 dB outside and 0.3 to 0.5 dB
     # inside.
     half = detail.footprint / 2
-    band = _ceil((max(outside, half) + half) / _USABLE)
-    deep = _ceil(inside + half + math.log(1 / _TRANSPARENT) / full.density_limit / (1 - full.band_fade))
+    band = _ceil((max(outside, half) + half) / USABLE)
+    deep = _ceil(inside + half + math.log(1 / TRANSPARENT) / full.density_limit / (1 - full.band_fade))
     # A band is at most as deep as it is wide. Occluders and badly fitted bodies are no reason to widen it.
     deep = min(deep, full.band)
-    driven, band = _ceil(deep / _USABLE) > band, max(band, _ceil(deep / _USABLE))
+    driven, band = _ceil(deep / USABLE) > band, max(band, _ceil(deep / USABLE))
     evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the body and bodies {1e3 * inside:.0f} mm beyond "
                 f"the masks, ignoring what costs less than {settings.worth:g} dB; a pixel spans "
                 f"{1e3 * detail.footprint:.0f} mm and its blur reaches half of that further")

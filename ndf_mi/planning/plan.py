@@ -88,6 +88,7 @@ class Plan:
         settings: how much a part must be worth.
         findings: in the order of the questions.
         preset: the planned architecture.
+        surface: the reference surface that it was made around, `body` or `offset`.
         bands: (V, 2) float32 metres, what the band needs outside and inside at each vertex, at most the
             preset's; None where it was not measured. Not part of the file.
     """
@@ -97,6 +98,7 @@ class Plan:
     settings: PlanSettings
     findings: tuple[Finding, ...]
     preset: Preset
+    surface: str = "body"
     bands: np.ndarray | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -106,23 +108,25 @@ class Plan:
             values = {name: list(value) if isinstance(value, tuple) else value
                       for name, value in finding.changes.items()}
             findings.append(asdict(finding) | {"changes": values})
-        return {"format": FORMAT, "version": VERSION, "capture": self.capture, "looked_at": self.looked_at,
-                "settings": asdict(self.settings), "findings": findings, "preset": self.preset.to_dict()}
+        return {"format": FORMAT, "version": VERSION, "capture": self.capture, "surface": self.surface,
+                "looked_at": self.looked_at, "settings": asdict(self.settings), "findings": findings,
+                "preset": self.preset.to_dict()}
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Writes the plan as JSON, atomically."""
         files.write_json(path, self.to_dict())
 
 
-def read_preset(path: Path, digest: str) -> tuple[Preset, dict[str, Any]]:
+def read_preset(path: Path, digest: str, surface: str) -> tuple[Preset, dict[str, Any]]:
     """The preset of a plan on disk, and the plan as JSON values.
 
     Args:
         digest: of the capture to be trained on.
+        surface: the reference surface to be trained around, `body` or `offset`.
 
     Raises:
         InputError: there is no such file, it is no plan, its preset is invalid, or it was made for another
-            capture.
+            capture or another surface, whose band may be too narrow or too wide for this one.
     """
     value = load_json(path, "`auto`, or a plan made by `ndf-mi plan CAPTURE -o FILE`")
     if not isinstance(value, dict) or value.get("format") != FORMAT:
@@ -137,6 +141,11 @@ def read_preset(path: Path, digest: str) -> tuple[Preset, dict[str, Any]]:
         raise InputError(f"{path}: capture", f"the digest {str(known)[:12]}",
                          f"{digest[:12]}, that of the given capture",
                          "A plan is valid for one capture: run `ndf-mi plan` on this one.")
+    # Plans had no choice of surfaces at first.
+    around = value.get("surface", "body")
+    if around != surface:
+        raise InputError(f"{path}: surface", shown(around), f'"{surface}", as in the training',
+                         f"Run `ndf-mi plan --surface {surface}`, or train with --option surface={around}.")
     if not isinstance(value.get("preset"), dict):
         raise InputError(f"{path}: preset", shown(value.get("preset")), "the options of a preset")
     return Preset.from_dict(value["preset"], f"{path}: preset"), value

@@ -74,7 +74,7 @@ def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B00
         {"name": capture.name, "digest": capture.digest},
         {"cameras": list(capture.splits["train"].cameras), "frames": list(frames)},
         settings, tuple(found), dataclasses.replace(full, name="planned", **changes),
-        np.minimum(local, np.array([changes["band"], changes["band_inside"]], np.float32)))
+        bands=np.minimum(local, np.array([changes["band"], changes["band_inside"]], np.float32)))
 
 
 def put_back(planned: Plan, key: str) -> Preset:

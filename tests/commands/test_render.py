@@ -114,7 +114,7 @@ def test_optimise_prints_which_step_it_keeps(capture, tmp_path, capsys):
     printed = capsys.readouterr().out
     kept = json.loads((tmp_path / "run" / "config.json").read_text())["trained"]["kept"]
     assert f"{kept['held_back_psnr']:.2f} dB on held-back training views" in printed
-    assert ("the most of the training" if kept["step"] == 51 else "at step 50, whose field") in printed
+    assert ("the best of the training" if kept["step"] == 51 else "at step 50, whose field") in printed
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
