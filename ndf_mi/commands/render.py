@@ -14,6 +14,7 @@ from ndf_mi.errors import InputError
 
 if TYPE_CHECKING:
     from ndf_mi.capture.camera import Camera
+    from ndf_mi.capture.capture import Capture
     from ndf_mi.render.image import Image
     from ndf_mi.run import Run
 
@@ -73,7 +74,8 @@ class Render:
     """Scene: set a parameter of the scene, as NAME=VALUE, e.g. run=runs/demo; can be repeated."""
 
     capture: Path | None = None
-    """Run: the capture that --camera belongs to."""
+    """Run: the capture that --camera belongs to. Cameras that the run was trained on have the corrections
+    that it learned (`ndf-mi optimise --refine cameras --camera-colours`)."""
 
     camera: str | None = None
     """Run: the name of a camera of --capture. Scene: the number of a sensor, counted from 0."""
@@ -100,6 +102,8 @@ class Render:
         return 0
 
     def _render_run(self) -> None:
+        from ndf_mi.capture.capture import Capture
+        from ndf_mi.learn.refined import refined_camera, seen_by
         from ndf_mi.render.output import write_field_image
         from ndf_mi.render.performers import misread
         from ndf_mi.run import Run
@@ -111,7 +115,14 @@ class Render:
         if (text := misread(run, scattering=False)) is not None:
             _print_error(f"ndf-mi: warning: {run.path}: {text}.")
         frame = int(run.poses.frames[0]) if self.frame is None else self.frame
-        image = self._image(run, frame, self._camera(run, frame), budget, error)
+        capture = None if self.capture is None else Capture.read(self.capture)
+        camera = self._camera(run, frame, capture)
+        trained_on = capture is not None and capture.digest == (run.config.get("capture") or {}).get("digest")
+        if trained_on:
+            camera = refined_camera(run, camera)
+        image = self._image(run, frame, camera, budget, error)
+        if trained_on:
+            image.linear = seen_by(run, camera, image.linear, image.opacity)
         write_field_image(self.out, image, run.background)
 
     def _limits(self) -> tuple[float | None, float | None]:
@@ -134,12 +145,11 @@ class Render:
         seconds = None if self.budget is None else parse_seconds(self.budget)
         return seconds, None if self.error is None else parse_decibel(self.error)
 
-    def _camera(self, run: Run, frame: int) -> Camera:
+    def _camera(self, run: Run, frame: int, capture: Capture | None) -> Camera:
         from ndf_mi.capture.camera import framing
-        from ndf_mi.capture.capture import Capture
 
-        if self.capture is not None:
-            cameras = Capture.read(self.capture).cameras
+        if capture is not None:
+            cameras = capture.cameras
             if self.camera not in cameras:
                 raise InputError("--camera", str(self.camera), "one of " + ", ".join(cameras))
             camera = cameras[self.camera]

@@ -9,6 +9,8 @@ import pytest
 from skimage.io import imread
 
 from ndf_mi.commands import main
+from ndf_mi.learn.refinement import CAMERAS, PREFIX
+from ndf_mi.methods.ndf import NeuralField
 
 SCENE = Path(__file__).parents[2] / "scenes" / "performer.xml"
 
@@ -31,6 +33,26 @@ def test_a_run_to_png_and_to_exr(make_constant_run, tmp_path):
     assert set(found) == {"R", "G", "B", "A"} | geometry
     assert found["A"][15, 20] > 0.99 and found["normal.Z"][15, 20] > 0.9
     assert found["R"][15, 20] == pytest.approx(0.604, abs=0.01)
+
+
+def test_cameras_of_the_training_have_their_corrections(make_constant_run, capture, tmp_path):
+    run = make_constant_run(200.0, srgb=(0.8, 0.4, 0.2))
+    run.config |= {"capture": {"digest": capture.digest}, CAMERAS: ["c0"]}
+    learned = {"camera_rotation": [[0, 0.1, 0]], "camera_translation": [[0.05, 0, 0]], "camera_focal": [0.2],
+               "colour_matrix": [0.5 * np.eye(3)], "colour_offset": [[0.1, 0, 0]]}
+    run.surface_tensors = {PREFIX + name: np.array(value, np.float32) for name, value in learned.items()}
+    run.save()
+    view = ["--capture", str(capture.path), "--camera"]
+    for name in ("c0", "c1"):
+        out = tmp_path / f"{name}.png"
+        assert main(["render", str(run.path), "-o", str(out), *view, name]) == 0
+        expected = NeuralField.of(run).render(capture.cameras[name], 0)
+        assert expected.std() > 0.1
+        np.testing.assert_allclose(imread(out) / 255, expected, atol=0.003)
+    run.config["capture"]["digest"] = "another"
+    run.save()
+    assert main(["render", str(run.path), "-o", str(tmp_path / "plain.png"), *view, "c0"]) == 0
+    assert np.abs(imread(tmp_path / "plain.png").astype(int) - imread(tmp_path / "c0.png")).max() > 50
 
 
 def test_a_scene_to_exr_with_its_aovs(make_constant_run, tmp_path):
