@@ -19,9 +19,6 @@ class CaptureCheck:
 
     def run(self) -> int:
         """Prints the issues on stderr and returns 2, or prints a summary and returns 0."""
-        from ndf_mi import variants
-
-        variants.use()
         from ndf_mi.capture.capture import Capture
         from ndf_mi.capture.check import problems, summary
 

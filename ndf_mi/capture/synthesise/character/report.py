@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from ndf_mi.body.body import Body
@@ -13,9 +12,9 @@ from ndf_mi.body.motion import shaped_joints
 from ndf_mi.body.poses import Poses
 from ndf_mi.body.skinning import joint_transforms
 from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.silhouette import Silhouettes, agreement
 from ndf_mi.capture.synthesise.character.fit import JOINT_SPREAD, Target, limb
 from ndf_mi.capture.synthesise.character.skin import Mesh
-from ndf_mi.mitsuba_mesh import make_mesh
 
 #: Metres: where the body is as close as this, it counts as bare or in tight clothes.
 _CLOSE = 0.03
@@ -34,16 +33,18 @@ def describe_fit(
     """
     names = [name for name in target.joints if limb(name) in JOINT_SPREAD]
     heights, errors, overlaps = [], [], []
+    casters = [Silhouettes(faces, vertices.shape[1])
+               for faces, vertices in ((body.faces, poses.vertices), (mesh.faces, mesh.vertices))]
     for frame in np.unique(np.linspace(0, len(poses) - 1, _FRAMES).round().astype(int)):
         vertices = poses.vertices[frame].astype(float)
         normals = vertex_normals(vertices, body.faces)
         height, _, near = target.skin.heights(frame, vertices, normals, 0.3)
         heights.append(height[near])
         errors.append(_joint_errors(body, poses, target, names, frame))
-        scenes = [_scene(vertices, body.faces), _scene(mesh.vertices[frame], mesh.faces)]
-        for camera in cameras:
-            seen, wanted = (_silhouette(scene, camera) for scene in scenes)
-            overlaps.append((seen & wanted).sum() / max((seen | wanted).sum(), 1))
+        casters[0].pose(vertices)
+        casters[1].pose(mesh.vertices[frame])
+        drawn = [[caster.draw(camera) for camera in cameras] for caster in casters]
+        overlaps.append(agreement(*drawn))
     height = np.concatenate(heights) * 1000
     joints = np.mean(errors, axis=0) * 1000
     levels = (5, 25, 50, 75, 95)
@@ -70,14 +71,3 @@ def _joint_errors(body: Body, poses: Poses, target: Target, names: list[str], fr
     at = np.einsum("jik,jk->ji", matrices[:, :, :3], rest) + matrices[:, :, 3]
     wanted = target.world[frame, [target.joints[name] for name in names], :3, 3]
     return np.linalg.norm(at[[body.joint_names.index(name) for name in names]] - wanted, axis=1)
-
-
-def _scene(vertices: np.ndarray, faces: np.ndarray) -> mi.Scene:
-    return mi.load_dict({"type": "scene", "mesh": make_mesh("mesh", vertices, faces)})
-
-
-def _silhouette(scene: mi.Scene, camera: Camera) -> np.ndarray:
-    """(w·h,) bool: pixels whose middle shows the mesh."""
-    rows, columns = np.mgrid[0 : camera.h, 0 : camera.w] + 0.5
-    position = mi.Point2f(mi.Float(columns.ravel()), mi.Float(rows.ravel()))
-    return np.array(scene.ray_test(camera.rays(position)))
