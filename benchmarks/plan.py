@@ -251,7 +251,7 @@ def study(name: str, capture: Capture, surface: Reference, found: Plan, presets:
     training = TrainingOptions(steps=options.steps, seed=seed)
     with tempfile.TemporaryDirectory() as folder:
         trainers = [start(Path(folder) / str(i), capture, preset, training,
-                          surface=with_bands(surface, found, preset, training))
+                          surface=with_bands(surface, found.bands, found.preset, preset, training))
                     for i, preset in enumerate(presets.values())]
         steps = track(range(options.steps), f"{name}, seed {seed}: training {len(rows)} models",
                       console=Console(file=sys.stderr))

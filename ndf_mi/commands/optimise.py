@@ -106,8 +106,9 @@ class Optimise:
         from ndf_mi.commands.plan import planned, printed, status
         from ndf_mi.field import preset as preset_of
         from ndf_mi.learn.loop import expect_new, start
-        from ndf_mi.learn.prepare import reference, with_bands
+        from ndf_mi.learn.prepare import measured_bands, reference, with_bands
         from ndf_mi.learn.scattering import relightable
+        from ndf_mi.options import read_options
         from ndf_mi.planning.plan import PlanSettings, read_preset
 
         name = self._preset_name()
@@ -121,16 +122,21 @@ class Optimise:
             capture.known_lighting()  # Refused here, before the surface's fit takes its time.
         with status() as show:
             surface = reference(capture, training, show)
-        base, plan, spent, found = None, None, 0.0, None
+        base, plan, bands, spent = None, None, None, 0.0
         if from_file:
             base, plan = from_file
+            if training.bands == "local":
+                settings = read_options(PlanSettings, plan.get("settings", {}), f"{self.model}: settings")
+                with status() as show:
+                    bands, spent = measured_bands(capture, surface, base, settings, show)
         elif planning:
             found = planned(capture, surface, PlanSettings())
             print(printed(found.plan) + "\n")
             base, plan, spent = found.plan.preset, found.plan.to_dict(), found.seconds
+            bands = found.plan.bands
         preset, training = self._configured(base)
-        if found is not None:
-            surface = with_bands(surface, found.plan, preset, training)
+        if base is not None:
+            surface = with_bands(surface, bands, base, preset, training)
         changed = [] if self.integrator == QUADRATURE else relightable(base or preset_of(name))[1]
         if changed:
             print(f"{self.integrator}: preset {preset.name} with {', '.join(changed)}, so that colours "

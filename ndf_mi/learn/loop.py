@@ -57,7 +57,7 @@ def start(path: str | os.PathLike[str], capture: Capture, preset: Preset | None,
     if preset is None:
         found = planned(capture, surface)
         preset, plan, spent = found.plan.preset, found.plan.to_dict(), spent + found.seconds
-        surface = with_bands(surface, found.plan, preset, options)
+        surface = with_bands(surface, found.plan.bands, preset, preset, options)
     run = Run.create(
         path, preset, surface.body, surface.poses, options.seed, surface.tensors,
         background=[float(v) for v in capture.background],

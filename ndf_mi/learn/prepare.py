@@ -16,7 +16,7 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.field import Preset
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.planning.plan import Plan, PlanSettings
-from ndf_mi.planning.planner import plan
+from ndf_mi.planning.planner import local_bands, plan
 from ndf_mi.surface.reference import fit_reference
 
 SHARE, LONGEST = 0.1, 60.0
@@ -78,6 +78,7 @@ def reference(capture: Capture, options: TrainingOptions, show: Show = lambda te
         InputError: body, masks and images do not belong together (`check_agreement`), or the images do not
             show the body (`fit_reference`).
     """
+    started = time.perf_counter()
     show("comparing body, masks and images")
     check_agreement(capture)
     body = capture.body
@@ -86,13 +87,13 @@ def reference(capture: Capture, options: TrainingOptions, show: Show = lambda te
 
         body = with_one_piece(body, capture.poses.vertices[0] if body.template is None else None)
     if options.surface == "body":
-        return Reference(body, capture.poses)
+        return Reference(body, capture.poses, seconds=time.perf_counter() - started)
     budget = min(SHARE * options.seconds, LONGEST) if options.seconds > 0 else None
     show("fitting the reference surface")
     fitted = fit_reference(capture.with_body(body, capture.poses), budget, options.seed,
                            lambda seconds, step, done: show(f"fitting the reference surface: {done:.0%}"))
     return Reference(fitted.body, fitted.poses, {"offsets": fitted.offsets}, fitted.residual,
-                     fitted.agreement, fitted.seconds)
+                     fitted.agreement, time.perf_counter() - started)
 
 
 def planned(capture: Capture, surface: Reference, settings: PlanSettings = PlanSettings(),  # noqa: B008
@@ -108,17 +109,29 @@ def planned(capture: Capture, surface: Reference, settings: PlanSettings = PlanS
     return Planned(replace(found, surface=surface.kind), time.perf_counter() - started)
 
 
-def with_bands(surface: Reference, plan: Plan, preset: Preset, options: TrainingOptions) -> Reference:
-    """The surface with the plan's band at every vertex; without where the options or another band that was
+def measured_bands(capture: Capture, surface: Reference, preset: Preset, settings: PlanSettings,
+                   show: Show = lambda text: None) -> tuple[np.ndarray, float]:
+    """The bands of a model that was planned before, as `Plan.bands`, and the seconds that measuring took."""
+    started = time.perf_counter()
+    show("measuring how wide the band must be at each place")
+    bands = local_bands(surface.seen_by(capture), preset, settings, surface.residual)
+    return bands, time.perf_counter() - started
+
+
+def with_bands(surface: Reference, bands: np.ndarray | None, planned: Preset, preset: Preset,
+               options: TrainingOptions) -> Reference:
+    """The surface with a band of its own at every vertex; without where the options or another band that was
     asked for make it uniform.
 
     Args:
+        bands: of a plan.
+        planned: its preset.
         preset: what will be trained.
     """
-    asked = (preset.band, preset.band_inside) != (plan.preset.band, plan.preset.band_inside)
-    if plan.bands is None or asked or options.bands == "uniform":
+    asked = (preset.band, preset.band_inside) != (planned.band, planned.band_inside)
+    if bands is None or asked or options.bands == "uniform":
         return surface
-    return replace(surface, tensors={**surface.tensors, "bands": plan.bands})
+    return replace(surface, tensors={**surface.tensors, "bands": bands})
 
 
 def record(surface: Reference) -> dict[str, Any]:

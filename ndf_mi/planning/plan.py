@@ -146,6 +146,7 @@ def read_preset(path: Path, digest: str, surface: str) -> tuple[Preset, dict[str
     if around != surface:
         raise InputError(f"{path}: surface", shown(around), f'"{surface}", as in the training',
                          f"Run `ndf-mi plan --surface {surface}`, or train with --option surface={around}.")
-    if not isinstance(value.get("preset"), dict):
-        raise InputError(f"{path}: preset", shown(value.get("preset")), "the options of a preset")
+    for key, expected in (("preset", "the options of a preset"), ("settings", "those of the plan")):
+        if not isinstance(value.get(key), dict):
+            raise InputError(f"{path}: {key}", shown(value.get(key)), expected)
     return Preset.from_dict(value["preset"], f"{path}: preset"), value

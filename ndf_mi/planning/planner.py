@@ -52,7 +52,7 @@ def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B00
     view = about.about_view(appearance.view(given_normal), settings, full)
     progress("pose")
     body, poses = capture.body, capture.poses
-    rest = np.asarray(poses.vertices[0] if body.template is None else body.template, dtype=np.float64)
+    rest = _rest(capture)
     measured = detail(body, rest, observations, views)
     moved = about.articulation(poses, [poses.index(frame) for frame in capture.splits["train"].frames])
     pose = about.about_pose(moved, *appearance.frame(given_normal), measured, settings, full)
@@ -74,7 +74,36 @@ def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B00
         {"name": capture.name, "digest": capture.digest},
         {"cameras": list(capture.splits["train"].cameras), "frames": list(frames)},
         settings, tuple(found), dataclasses.replace(full, name="planned", **changes),
-        bands=np.minimum(local, np.array([changes["band"], changes["band_inside"]], np.float32)))
+        bands=_within(local, changes["band"], changes["band_inside"]))
+
+
+def local_bands(capture: Capture, preset: Preset, settings: PlanSettings,
+                residual: np.ndarray | None = None) -> np.ndarray:
+    """(V, 2) float32 metres, what the band needs outside and inside at each vertex, at most the preset's.
+
+    Args:
+        capture, settings, residual: as for :func:`plan`.
+        preset: planned before.
+
+    Raises:
+        InputError: as :func:`plan`.
+    """
+    frames = chosen_frames(capture, settings.frames)
+    observations, views = observe(capture, frames)
+    measured = detail(capture.body, _rest(capture), observations, views)
+    local = place_bands(_rest(capture), capture.body.faces, standoff(capture, frames, views),
+                        settings.allowed_error, measured.footprint / 2, full_model(), residual)
+    return _within(local, preset.band, preset.band_inside)
+
+
+def _rest(capture: Capture) -> np.ndarray:
+    """(V, 3) float64 the body at rest, or without a template in its first pose, metres."""
+    template = capture.body.template
+    return np.asarray(capture.poses.vertices[0] if template is None else template, dtype=np.float64)
+
+
+def _within(local: np.ndarray, band: float, inside: float) -> np.ndarray:
+    return np.minimum(local, np.array([band, inside], np.float32))
 
 
 def put_back(planned: Plan, key: str) -> Preset:
