@@ -65,7 +65,7 @@ class ViewAgreement:
 
     @property
     def issue(self) -> InputError | None:
-        """What is wrong with this mask for itself."""
+        """What is wrong with this mask by itself."""
         if self.covered > _FULL:
             return InputError(self.file, f"a mask that covers {self.covered:.0%} of the image ({self.view})",
                               f"at most {_FULL:.0%}: some background around the performer")
@@ -109,7 +109,7 @@ def mask_issues(views: Sequence[ViewAgreement], where: Path) -> list[InputError]
 
 
 def image_issue(file: Path, image: np.ndarray, mask: np.ndarray, background: np.ndarray) -> InputError | None:
-    """What is wrong with an image beside its mask; None if its border is not the background, which leaves
+    """What is wrong with an image next to its mask; None if its border is not the background, which leaves
     nothing to compare.
 
     Args:

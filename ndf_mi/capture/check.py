@@ -114,7 +114,7 @@ def _image_issues(
                 f"{ON_MASK:.0%} or more",
                 "Check units (metres), the camera's axes (OpenGL) and the frame's number in poses.npz.",
             ))
-    # Where the mask is wrong for itself, the image cannot match it.
+    # Where the mask is wrong by itself, the image cannot match it.
     if image is not None and mask is not None and (view is None or view.issue is None):
         issue = image_issue(image_file, image, mask, np.array(document.background, dtype=np.float32))
         found += [] if issue is None else [issue]

@@ -111,7 +111,7 @@ class BatchSampler:
         if not self._frames or not self._cameras:
             raise InputError(f"{capture.path / 'capture.json'}: splits.train", "no cameras or no frames",
                              "at least one of each")
-        # Weights of masks are of no use to a loss without them.
+        # Only the opacity term uses masks.
         trust = MaskTrust(capture, band) if options.mask_trust and options.opacity_weight > 0 else None
         self._views: dict[tuple[int, int], _View] = {}
         for row, frame in enumerate(self._frames):

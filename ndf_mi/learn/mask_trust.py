@@ -148,7 +148,7 @@ class _ImageEvidence:
         other = ~mask & (difference > max(_CLEAR, 2 * noise))
         blank = difference <= max(_SAME, noise)
         inside = mask & grown(view.body, -_MARGIN)
-        if blank[inside].mean() > _CAMOUFLAGE if inside.any() else True:
+        if not inside.any() or blank[inside].mean() > _CAMOUFLAGE:
             return cls(other, none)
         outer = binary_propagation(~mask, mask=blank | ~mask)
         return cls(other, mask & outer & ~grown(view.body, -_MARGIN))

@@ -61,7 +61,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Local:
-    """How the parts of a grid's cells lie to a band whose width varies over the body.
+    """How the parts of a grid's cells lie relative to a band whose width varies over the body.
 
     Attributes:
         edge: (P,) float32, how far the centres of parts are outside the band in metres, negative in it; at
@@ -83,7 +83,7 @@ class Distances:
         grid: the cells.
         distance: (PARTS·nx, PARTS·ny, PARTS·nz) float32 l in metres, infinite where |l| is beyond the reach.
         places: flat indices, into the above, of the finite ones.
-        local: how they lie to a band whose width varies; None for a band of one width.
+        local: how they lie relative to a band whose width varies; None for a band of one width.
     """
 
     grid: Grid

@@ -44,7 +44,7 @@ class SparseGrid:
         vertices: flat (3·V), the posed body, in metres.
         reach: how far from the body the field may be anything but empty, in metres.
         cell: distance from one node to the next, metres.
-        bands: how far instead, where that varies over the body; `reach` then is the largest.
+        bands: the widths where they vary over the body; `reach` then is the largest.
 
     Attributes:
         majorant: 1.05 times the density at the densest node, in 1/m, as interpolation exceeds no node.
