@@ -18,6 +18,7 @@ from ndf_mi.errors import InputError
 from ndf_mi.field import Field, Preset
 from ndf_mi.planning.plan import Plan
 from ndf_mi.planning.planner import full_model, plan, put_back
+from ndf_mi.run import Run
 
 
 def test_only_training_images_are_read(capture: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,6 +108,11 @@ def test_the_commands_plan_print_and_train(capture: Capture, tmp_path: Path,
         # A surface that is fitted again differs by rounding, since threads add up gradients in any order.
         assert name == "auto" or config["plan"] == json.loads(file.read_text())
         assert Preset.from_dict(config["preset"]) == Preset.from_dict(config["plan"]["preset"])
+        assert config["plan"]["surface"] == "offset"
+        # Files have only the largest widths.
+        assert (Run.load(run).bands is None) == (name == "file")
+    assert main(["optimise", str(capture.path), "-o", str(tmp_path / "x"), "--model", str(file), "--option",
+                 "surface=body"]) == 2
     assert main(["optimise", str(capture.path), "-o", str(tmp_path / "x"), "--model", "auto", "--preset",
                  "paper"]) == 2
     assert main(["optimise", str(capture.path), "-o", str(tmp_path / "x"), "--model", "none.json"]) == 2
