@@ -103,7 +103,7 @@ class Optimise:
         return resume(self.out, capture)
 
     def _started(self, capture: Capture) -> Trainer:
-        from ndf_mi.commands.plan import planned, printed, status
+        from ndf_mi.commands.plan import described, planned, printed, status
         from ndf_mi.field import preset as preset_of
         from ndf_mi.learn.loop import expect_new, start
         from ndf_mi.learn.prepare import measured_bands, reference, with_bands
@@ -122,6 +122,7 @@ class Optimise:
             capture.known_lighting()  # Refused here, before the surface's fit takes its time.
         with status() as show:
             surface = reference(capture, training, show)
+        print(described(surface))
         base, plan, bands, spent = None, None, None, 0.0
         if from_file:
             base, plan = from_file

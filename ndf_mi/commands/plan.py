@@ -59,6 +59,7 @@ class PlanCapture:
         options = TrainingOptions(seed=self.seed, surface=self.surface)
         with status() as show:
             surface = reference(capture, options, show)
+        print(described(surface))
         plan = planned(capture, surface, settings).plan
         print(printed(plan))
         if self.out is not None:
@@ -74,6 +75,18 @@ def status() -> Iterator[Callable[[str], None]]:
 
     with Console(file=sys.stderr).status("reading images") as shown:
         yield shown.update
+
+
+def described(surface: Reference) -> str:
+    """The reference surface as text."""
+    from ndf_mi.learn.prepare import record
+
+    found = record(surface).get("surface")
+    if found is None:
+        return "reference surface: the capture's body"
+    return (f"reference surface: the body with offsets of {found['offset_median_mm']:.0f} mm (median) to "
+            f"{found['offset_max_mm']:.0f} mm, made in {found['seconds']:.0f} s; its silhouettes and the "
+            f"masks overlap by {found['agreement']:.2f} (intersection over union)")
 
 
 def planned(capture: Capture, surface: Reference, settings: PlanSettings) -> Planned:

@@ -107,7 +107,7 @@ def about_pose(moved: float, frame: Estimate, within: Estimate, detail: Detail, 
 
 def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Preset,
                local: np.ndarray | None = None) -> Finding:
-    """How far does the surface stand off the body?
+    """How far does the performer stand off the reference surface, the body of the capture that is planned?
 
     Args:
         local: (V, 2) metres that each vertex needs outside and inside.
@@ -123,22 +123,23 @@ def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Pr
     # A band is at most as deep as it is wide. Occluders and badly fitted bodies are no reason to widen it.
     deep = min(deep, full.band)
     driven, band = _ceil(deep / USABLE) > band, max(band, _ceil(deep / USABLE))
-    evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the body and bodies {1e3 * inside:.0f} mm beyond "
-                f"the masks, ignoring what costs less than {settings.worth:g} dB; a pixel spans "
-                f"{1e3 * detail.footprint:.0f} mm and its blur reaches half of that further")
+    evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the surface and the surface "
+                f"{1e3 * inside:.0f} mm beyond the masks, ignoring what costs less than {settings.worth:g} "
+                f"dB; a pixel spans {1e3 * detail.footprint:.0f} mm, and its blur reaches half of that "
+                "further")
     if outside >= REACH:
         evidence += f"; distances above {1e3 * REACH:.0f} mm were not measured"
     if driven:
         evidence += "; the band's outer part follows from its inner one"
     before, after = full.band + full.band_inside, band + deep
-    follows = f"a band from {1e3 * deep:.0f} mm inside to {1e3 * band:.0f} mm outside the body"
+    follows = f"a band from {1e3 * deep:.0f} mm inside to {1e3 * band:.0f} mm outside the surface"
     figures: dict[str, float | None] = {"outside_mm": 1e3 * outside, "inside_mm": 1e3 * inside}
     if local is not None:
         wide, depth = np.median(np.minimum(local, [band, deep]), axis=0)
         follows += f" at most; at half of the vertices from {1e3 * depth:.0f} mm to {1e3 * wide:.0f} mm"
         figures |= {"median_outside_mm": 1e3 * float(wide), "median_inside_mm": 1e3 * float(depth)}
     return Finding(
-        "band", "how far does the surface stand off the body?", evidence, follows,
+        "band", "how far does the performer stand off the reference surface?", evidence, follows,
         f"of {1e3 * before:.0f} mm, {1e3 * (before - after):.0f}" if after < before else "", figures,
         {"band": band, "band_inside": deep})
 

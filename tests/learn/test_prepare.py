@@ -13,7 +13,6 @@ from ndf_mi.field import preset
 from ndf_mi.learn import prepare
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.prepare import Reference, record, reference, with_bands
-from ndf_mi.planning.plan import Plan, PlanSettings
 from ndf_mi.surface.reference import ReferenceSurface
 
 
@@ -30,7 +29,7 @@ def test_the_fit_takes_a_tenth_of_the_time_and_a_minute_at_most(
 
     monkeypatch.setattr(prepare, "fit_reference", fitted)
     found = reference(capture, TrainingOptions(seconds=seconds))
-    assert given == [budget] and found.kind == "offset" and found.seconds >= 12
+    assert given == [budget] and found.kind == "offset"
     assert record(found)["surface"]["agreement"] == 0.9
     assert record(found)["surface"]["offset_max_mm"] == pytest.approx(52, abs=0.1)
 
@@ -44,10 +43,9 @@ def test_around_the_body_nothing_is_fitted(capture: Capture, monkeypatch: pytest
 def test_bands_are_local_unless_one_width_was_asked_for(capture: Capture) -> None:
     wide = dataclasses.replace(preset("fast"), band=0.05, band_inside=0.03)
     bands = np.full((capture.poses.vertices.shape[1], 2), 0.03, np.float32)
-    plan = Plan({}, {}, PlanSettings(), (), wide, bands=bands)
     surface, options = Reference(capture.body, capture.poses), TrainingOptions()
-    assert with_bands(surface, plan, wide, options).tensors["bands"] is bands
-    assert not with_bands(surface, plan, wide, dataclasses.replace(options, bands="uniform")).tensors
+    assert with_bands(surface, bands, wide, wide, options).tensors["bands"] is bands
+    assert not with_bands(surface, bands, wide, wide, dataclasses.replace(options, bands="uniform")).tensors
     for asked in ({"band": 0.1}, {"band_inside": 0.02}):
-        assert not with_bands(surface, plan, dataclasses.replace(wide, **asked), options).tensors
-    assert not with_bands(surface, dataclasses.replace(plan, bands=None), wide, options).tensors
+        assert not with_bands(surface, bands, wide, dataclasses.replace(wide, **asked), options).tensors
+    assert not with_bands(surface, None, wide, wide, options).tensors
