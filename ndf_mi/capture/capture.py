@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,15 @@ class Capture:
 
     def with_body(self, body: Body, poses: Poses) -> Capture:
         """The same capture with another body, which has a pose for every frame of the splits."""
-        return Capture(self.path, self._document, body, poses, self.digest)
+        changed = copy.copy(self)
+        changed.body, changed.poses = body, poses
+        return changed
+
+    def with_cameras(self, cameras: Iterable[Camera]) -> Capture:
+        """The same capture with these cameras in place of those of the same names; images stay."""
+        changed = copy.copy(self)
+        changed.cameras = self.cameras | {camera.name: camera for camera in cameras}
+        return changed
 
     def image(self, camera: str, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1], composited over the background.

@@ -30,7 +30,7 @@ FOCAL = 0.01
 COLUMNS = 7
 """Numbers a camera: rotation, shift, focal length."""
 
-_DEVIATIONS = np.array([ROTATION] * 3 + [TRANSLATION] * 3 + [FOCAL])
+DEVIATIONS = np.array([ROTATION] * 3 + [TRANSLATION] * 3 + [FOCAL])
 
 
 class CameraCorrections:
@@ -49,7 +49,7 @@ class CameraCorrections:
         self.names = tuple(camera.name for camera in cameras)
         axes = np.stack([-np.asarray(camera.transform)[:3, 2] for camera in cameras])
         self._axes = mi.Float(np.ascontiguousarray(axes, np.float32).ravel())
-        self._deviations = mi.Float(np.tile(_DEVIATIONS, len(cameras)).astype(np.float32))
+        self._deviations = mi.Float(np.tile(DEVIATIONS, len(cameras)).astype(np.float32))
 
     @property
     def count(self) -> int:
@@ -75,7 +75,7 @@ class CameraCorrections:
     def tensors(self, corrections: mi.Float) -> dict[str, np.ndarray]:
         """The corrections in radians, metres and as logarithms: `camera_rotation` (C, 3),
         `camera_translation` (C, 3) and `camera_focal` (C,), float32."""
-        values = (rows(corrections, COLUMNS) * _DEVIATIONS).astype(np.float32)
+        values = (rows(corrections, COLUMNS) * DEVIATIONS).astype(np.float32)
         return {"camera_rotation": values[:, :3].copy(), "camera_translation": values[:, 3:6].copy(),
                 "camera_focal": values[:, 6].copy()}
 

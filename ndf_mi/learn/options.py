@@ -139,6 +139,10 @@ class TrainingOptions:
     refine_frames: float = 10.0
     """Frames over which the corrections of poses are correlated; 0 for independent frames."""
 
+    refine_outlines: int = 16
+    """Rounds that fit what `refine` names to the outlines of the training masks, before the field is
+    trained; 0 leaves this to the field."""
+
     refine_after: int = 200
     """Steps before anything is corrected: the field has no outline yet."""
 
@@ -166,7 +170,7 @@ class TrainingOptions:
             self._check(key, 0 < getattr(self, key) < float("inf"), "a number above 0")
         for key in ("seconds", "pose_noise", "edge_kernel", "opacity_edge", "box_padding", "decay_steps",
                     "opacity_weight", "edge_weight", "edge_below", "seed", "min_transmittance", "warm_up",
-                    "refine_prior", "refine_frames", "refine_after"):
+                    "refine_prior", "refine_frames", "refine_outlines", "refine_after"):
             self._check(key, 0 <= getattr(self, key) < float("inf"), "a number of at least 0")
         self._check("atlas", self.atlas in ("body", "one-piece"), "body or one-piece")
         self._check("bands", self.bands in ("local", "uniform"), "local or uniform")

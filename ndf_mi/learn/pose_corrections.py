@@ -48,6 +48,10 @@ class PoseCorrections:
         poses: before any correction.
         frames: the training frames.
         correlation: τ, frames.
+
+    Attributes:
+        deviations: (3·J + 3,) standard deviations of a row's numbers, radians and metres.
+        shape_deviations: (B,) those of the shape coefficients.
     """
 
     def __init__(self, body: Body, poses: Poses, frames: Sequence[int], correlation: float) -> None:
@@ -58,13 +62,13 @@ class PoseCorrections:
         self._mixing = mixing(np.array(self.frames), correlation)
         joints = body.joint_count
         self._columns = 3 * joints + 3
-        self._deviations = np.array([JOINT] * 3 * joints + [TRANSLATION] * 3)
-        self._scale = mi.Float(self._deviations.astype(np.float32))
+        self.deviations = np.array([JOINT] * 3 * joints + [TRANSLATION] * 3)
+        self._scale = mi.Float(self.deviations.astype(np.float32))
         self._shape = np.zeros(body.shape_count) if poses.shape is None else poses.shape.astype(np.float64)
-        self._shape_deviations = np.zeros(0)
+        self.shape_deviations = np.zeros(0)
         if body.shape_dirs is not None:
             move = np.sqrt(np.square(body.shape_dirs.astype(np.float64)).sum(1).mean(0))
-            self._shape_deviations = SHAPE / np.maximum(move, 1e-9)
+            self.shape_deviations = SHAPE / np.maximum(move, 1e-9)
         self._unmoved: dict[int, mi.Float] = {}
 
     @property
@@ -75,7 +79,7 @@ class PoseCorrections:
     @property
     def shape_count(self) -> int:
         """How many numbers `Corrections.shape` has."""
-        return len(self._shape_deviations)
+        return len(self.shape_deviations)
 
     def vertices(self, corrections: Corrections, frame: int) -> mi.Float:
         """The vertices in a frame, flat (3·V), world, metres; attached, and evaluated."""
@@ -117,9 +121,13 @@ class PoseCorrections:
         return dataclasses.replace(poses, pose=pose, root_rotation=root, translation=shift, vertices=vertices,
                                    shape=shape)
 
+    def numbers(self, values: np.ndarray) -> mi.Float:
+        """`Corrections.pose` that has these corrections (T, 3·J + 3), radians and metres."""
+        return _flat(np.linalg.solve(self._mixing, values / self.deviations))
+
     def shape_offsets(self, shape: mi.Float) -> np.ndarray:
         """(B,) what is added to the shape coefficients."""
-        return rows(shape, 1)[:, 0] * self._shape_deviations
+        return rows(shape, 1)[:, 0] * self.shape_deviations
 
     def tensors(self, corrections: Corrections) -> dict[str, np.ndarray]:
         """The corrections in radians, metres and shape coefficients, float32: `frames` (T,) int32, `pose`
@@ -144,7 +152,7 @@ class PoseCorrections:
 
     def _rows(self, pose: mi.Float) -> np.ndarray:
         """(T, 3·J + 3) float64, all frames' corrections in radians and metres."""
-        return np.asarray(self._mixing @ rows(pose, self._columns) * self._deviations)
+        return np.asarray(self._mixing @ rows(pose, self._columns) * self.deviations)
 
     def _skinned(self, at: int, row: mi.Float | None, shape: mi.Float | None) -> mi.Float:
         """`skin` of row number `at` of the poses with corrections, without what `poses` adds to it."""
@@ -157,7 +165,7 @@ class PoseCorrections:
         if self.shape_count:
             coefficients = _flat(self._shape)
             if shape is not None:
-                coefficients = coefficients + shape * _flat(self._shape_deviations)
+                coefficients = coefficients + shape * _flat(self.shape_deviations)
         posed = dr.unravel(mi.Point3f, skin(self._body, pose, poses.root_rotation[at], poses.translation[at],
                                             coefficients))
         pivot = mi.Point3f(*[dr.opaque(mi.Float, float(v)) for v in self._pivot(at)])

@@ -15,6 +15,8 @@ from ndf_mi.capture.agreement import check_agreement
 from ndf_mi.capture.capture import Capture
 from ndf_mi.field import Preset
 from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.refined import registered_capture
+from ndf_mi.learn.registration import register
 from ndf_mi.planning.plan import Plan, PlanSettings
 from ndf_mi.planning.planner import local_bands, plan
 from ndf_mi.surface.reference import fit_reference
@@ -51,8 +53,8 @@ class Reference:
         return "offset" if "offsets" in self.tensors else "body"
 
     def seen_by(self, capture: Capture) -> Capture:
-        """The capture with this surface in place of its body."""
-        return capture.with_body(self.body, self.poses)
+        """The capture with this surface in place of its body, and with its registered cameras."""
+        return registered_capture(capture, self.tensors).with_body(self.body, self.poses)
 
 
 @dataclass(frozen=True)
@@ -69,14 +71,15 @@ class Planned:
 
 
 def reference(capture: Capture, options: TrainingOptions, show: Show = lambda text: None) -> Reference:
-    """The reference surface that the options ask for.
+    """The reference surface that the options ask for, around the fit that `refine` has registered to the
+    outlines of the masks.
 
-    A training that ends by the clock spends a tenth of its time on it, at most a minute; others a fixed
-    number of steps, so that they repeat exactly.
+    A training that ends by the clock spends a tenth of its time on it, at most a minute, and as much on
+    registering the fit before; others a fixed number of steps, so that they repeat exactly.
 
     Raises:
-        InputError: body, masks and images do not belong together (`check_agreement`), or the images do not
-            show the body (`fit_reference`).
+        InputError: body, masks and images do not belong together (`check_agreement`), the images do not
+            show the body (`fit_reference`), or it cannot be refined (`register`).
     """
     started = time.perf_counter()
     show("comparing body, masks and images")
@@ -86,14 +89,17 @@ def reference(capture: Capture, options: TrainingOptions, show: Show = lambda te
         from ndf_mi.body.atlas import with_one_piece  # needs packages that other trainings do not
 
         body = with_one_piece(body, capture.poses.vertices[0] if body.template is None else None)
-    if options.surface == "body":
-        return Reference(body, capture.poses, seconds=time.perf_counter() - started)
     budget = min(SHARE * options.seconds, LONGEST) if options.seconds > 0 else None
+    registered = register(capture.with_body(body, capture.poses), options, budget,
+                          lambda taken: show(f"fitting body and cameras to the masks: round {taken}"))
+    capture = registered.capture
+    if options.surface == "body":
+        return Reference(body, capture.poses, registered.tensors, seconds=time.perf_counter() - started)
     show("fitting the reference surface")
-    fitted = fit_reference(capture.with_body(body, capture.poses), budget, options.seed,
+    fitted = fit_reference(capture, budget, options.seed,
                            lambda seconds, step, done: show(f"fitting the reference surface: {done:.0%}"))
-    return Reference(fitted.body, fitted.poses, {"offsets": fitted.offsets}, fitted.residual,
-                     fitted.agreement, time.perf_counter() - started)
+    return Reference(fitted.body, fitted.poses, {"offsets": fitted.offsets, **registered.tensors},
+                     fitted.residual, fitted.agreement, time.perf_counter() - started)
 
 
 def planned(capture: Capture, surface: Reference, settings: PlanSettings = PlanSettings(),  # noqa: B008

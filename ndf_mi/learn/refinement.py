@@ -17,11 +17,12 @@ from ndf_mi.learn.camera_corrections import CameraCorrections
 from ndf_mi.learn.corrections import Corrections
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.pose_corrections import PoseCorrections
+from ndf_mi.learn.registration import check_refinable
 from ndf_mi.projection import PosedSurface
 from ndf_mi.run import Run
 
 INITIAL = "initial_poses.npz"
-"""The file in a run's folder with its poses before they were refined."""
+"""The file in a run's folder with its poses before the field refined them."""
 
 PREFIX = "refined."
 """What names of corrections in `Run.surface_tensors` begin with."""
@@ -75,7 +76,11 @@ class Refinement:
         self._cameras: CameraCorrections | None = None
         self.colours: CameraColours | None = None
         if self._moves_body:
-            self._check(run, capture, options)
+            check_refinable(capture, run.body, options.refine)
+            if run.model.field.preset.coordinates == "world":
+                raise InputError("--refine", "pose or shape with the preset option coordinates=world",
+                                 "coordinates on the body",
+                                 "In world space the field does not follow the body.")
             self._body = PoseCorrections(run.body, _initial_poses(run), split.frames, options.refine_frames)
         if "cameras" in options.refine:
             self._cameras = CameraCorrections(cameras)
@@ -170,21 +175,6 @@ class Refinement:
         if frame not in surfaces:
             surfaces[frame] = self._run.model.pose(body.vertices(corrections, frame))
         return surfaces[frame]
-
-    @staticmethod
-    def _check(run: Run, capture: Capture, options: TrainingOptions) -> None:
-        """Raises InputError unless the body can be moved."""
-        where = f"{capture.path / 'body.npz'}"
-        if not run.body.skinned:
-            raise InputError(where, "a body without skinning", "template, joints, parents and weights, which "
-                             "--refine pose and --refine shape need",
-                             "Import the capture with its body model, or refine only cameras.")
-        if "shape" in options.refine and not run.body.shape_count:
-            raise InputError(where, "a body without shape_dirs", "shape coefficients, which --refine shape "
-                             "needs", "Leave out shape.")
-        if run.model.field.preset.coordinates == "world":
-            raise InputError("--refine", "pose or shape with the preset option coordinates=world",
-                             "coordinates on the body", "In world space the field does not follow the body.")
 
 
 def _initial_poses(run: Run) -> Poses:

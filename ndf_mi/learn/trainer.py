@@ -23,6 +23,7 @@ from ndf_mi.learn.guard import Guard
 from ndf_mi.learn.held_back import EVERY, SHARE, HeldBackRays, choose_views
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.progress import Progress
+from ndf_mi.learn.refined import registered_capture
 from ndf_mi.learn.refinement import Refinement
 from ndf_mi.learn.scattering import ScatteringStep, capture_lights
 from ndf_mi.learn.state import adam_tensors, read_state, restore_adam, write_state
@@ -65,6 +66,7 @@ class Trainer:
         self.run = run
         self.options = options
         self._frames = capture.splits["train"].frames
+        capture = registered_capture(capture, run.surface_tensors)
         self.refinement = Refinement(run, capture, options)
         self._lights: dict[str, Any] = {}
         if options.integrator != QUADRATURE:

@@ -15,6 +15,7 @@ et al. 2007, "Optimal Step Nonrigid ICP") with outlines in place of points.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,30 @@ class Outlines:
     squared: np.ndarray
 
 
+@dataclass(frozen=True)
+class Moves:
+    """N points on the outline of the posed surface in one view, and where the mask's outline is.
+
+    Attributes:
+        start, end: (N,) indices of the vertices of each point's edge.
+        position: (N,) position between them, in [0, 1].
+        point: (N, 3) world, metres.
+        direction: (N, 3) unit vectors, world: the outline's normal, away from the surface.
+        distance: (N,) signed metres along it to the mask's outline, at most `REACH`.
+        found: (N,) whether the mask's outline is there.
+        length: (N,) metres of outline that each point represents.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    position: np.ndarray
+    point: np.ndarray
+    direction: np.ndarray
+    distance: np.ndarray
+    found: np.ndarray
+    length: np.ndarray
+
+
 class OutlineFit:
     """Offsets that follow the outlines of masks.
 
@@ -119,6 +144,25 @@ class OutlineFit:
                 break
             pinned[self._faces[bad]] = True
         self.offsets = repair(self._rest.vertices, moved, self._faces, self.offsets)
+
+    def follow(self, rest: RestFrames) -> None:
+        """Goes on with the same offsets around other poses or another shape of the same body."""
+        self._rest = rest
+
+    def moves(self, frame: int, views: Sequence[tuple[Camera, np.ndarray]],
+              count: int = SAMPLES) -> list[Moves | None]:
+        """Where the masks' outlines are from those of the surface, view by view; None where no contour is in
+        front of the camera.
+
+        Args:
+            frame: of the capture.
+            views: pinhole cameras and (h, w) mattes.
+            count: contour points a view; those on the outline are returned.
+        """
+        posed = self._rest.posed(frame, self.offsets)
+        self._caster.pose(posed)
+        planes = self._contours.planes(posed)
+        return [self._moves(posed, planes, camera, matte, count) for camera, matte in views]
 
     def check(self, views: Views) -> tuple[float, np.ndarray]:
         """`agreement`, and the residual: (V,) metres, the root mean square distance between the outlines of
@@ -185,24 +229,34 @@ class OutlineFit:
     def _add(self, sums: np.ndarray, posed: np.ndarray, planes: np.ndarray, camera: Camera,
              matte: np.ndarray) -> None:
         """Adds a view to `sums` (V, 6): weight, move in world space, seen, squared."""
-        samples = self._contours.sample(posed, camera, SAMPLES, self._random, planes)
-        if samples is None:
+        found = self._moves(posed, planes, camera, matte, SAMPLES)
+        if found is None:
             return
+        weight = found.found * found.length
+        move = (weight * found.distance)[:, None] * found.direction
+        values = np.column_stack([weight, move, found.length, found.length * found.distance**2])
+        for index, share in ((found.start, 1 - found.position), (found.end, found.position)):
+            for column in range(6):
+                sums[:, column] += np.bincount(index, share * values[:, column], minlength=len(sums))
+
+    def _moves(self, posed: np.ndarray, planes: np.ndarray, camera: Camera, matte: np.ndarray,
+               count: int) -> Moves | None:
+        """See `moves`; the mesh that rays are cast at must be `posed`. None if no contour is in front of the
+        camera.
+        """
+        samples = self._contours.sample(posed, camera, count, self._random, planes)
+        if samples is None:
+            return None
         chosen, side = self._outline(camera, samples)
         start, end, position = samples.start[chosen], samples.end[chosen], samples.position[chosen]
         normal = side[:, None] * samples.normal[chosen]
-        point, depth = samples.point[chosen], samples.distance[chosen]
-        pixels, found = self._distances(camera, matte, point, normal, depth)
+        pixels, found = self._distances(camera, matte, samples.point[chosen], normal,
+                                        samples.distance[chosen])
         world = posed[start] + position[:, None] * (posed[end].astype(np.float64) - posed[start])
         along = projection_vjp(camera, world, normal)
-        squared = (along**2).sum(1)
-        length = samples.length / np.sqrt(squared)
-        weight = found * length
-        move = (weight * pixels / squared)[:, None] * along
-        values = np.column_stack([weight, move, length, length * pixels**2 / squared])
-        for index, share in ((start, 1 - position), (end, position)):
-            for column in range(6):
-                sums[:, column] += np.bincount(index, share * values[:, column], minlength=len(sums))
+        scale = np.linalg.norm(along, axis=1)
+        return Moves(start, end, position, world, along / scale[:, None], pixels / scale, found,
+                     samples.length / scale)
 
     def _outline(self, camera: Camera, samples: ContourSamples) -> tuple[np.ndarray, np.ndarray]:
         """Indices of the samples that are visible and have the background on one side, and 1 or -1 for each:

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from ndf_mi.body.poses import Poses
 from ndf_mi.errors import InputError
 from ndf_mi.field import preset
 from ndf_mi.learn.camera_corrections import corrected
@@ -16,13 +17,14 @@ from ndf_mi.learn.corrections import Corrections
 from ndf_mi.learn.loop import resume, start
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.refined import refined_camera
+from ndf_mi.learn.refinement import INITIAL
 from ndf_mi.learn.step import QuadratureStep
 from ndf_mi.learn.trainer import Trainer
 from ndf_mi.run import Run
 
 TINY = dataclasses.replace(preset("tiny"), band_inside=0.08)
 OPTIONS = TrainingOptions(surface="body", steps=250, rays=256, samples=24, seed=4, learning_rate=1e-2,
-                          grid_rate=5e-2, refine_after=50, pose_noise=0.0, held_back=0.0)
+                          grid_rate=5e-2, refine_after=50, refine_outlines=0, pose_noise=0.0, held_back=0.0)
 
 
 def taken(trainer, steps):
@@ -122,6 +124,25 @@ def test_a_wrong_place_is_found_and_stays_found(capture, skinned_capture, tmp_pa
     again = resume(tmp_path / "run", skinned_capture)
     np.testing.assert_array_equal(again.refinement.poses.vertices, skinned_capture.poses.vertices)
     np.testing.assert_allclose(again.run.poses.vertices, run.poses.vertices, atol=1e-6)
+
+
+def test_training_goes_on_from_what_was_registered(skinned_capture, tmp_path):
+    options = dataclasses.replace(OPTIONS, refine=("pose", "cameras"), refine_outlines=3, steps=2)
+    trainer = start(tmp_path / "run", skinned_capture, TINY, options)
+    trainer.save()
+    run = Run.load(tmp_path / "run")
+    moved = run.poses.vertices - skinned_capture.poses.vertices
+    assert np.abs(moved[1]).max() > 0.01 and not moved[2].any()
+    np.testing.assert_allclose(moved[1].mean(0), run.surface_tensors["registered.translation"][1], atol=2e-3)
+    np.testing.assert_array_equal(run.surface_tensors["refined.translation"], np.zeros((2, 3)))
+    np.testing.assert_array_equal(Poses.read(run.path / INITIAL, run.body).vertices, run.poses.vertices)
+    # Rays are those of the cameras that the run is rendered with.
+    camera = refined_camera(run, skinned_capture.cameras["c1"])
+    assert np.abs(camera.transform - skinned_capture.cameras["c1"].transform).max() > 1e-4
+    for each in (trainer, resume(run.path, skinned_capture)):
+        batch = each.batches(np.random.default_rng(0), False, False)
+        origin = batch.origin[:, np.flatnonzero(batch.camera == 1)[0]]
+        np.testing.assert_allclose(origin, camera.position, atol=1e-6)
 
 
 def test_the_loss_has_the_gradients_of_differences(skinned_capture, tmp_path):
