@@ -46,4 +46,3 @@ def strap_edge(frame: Frame) -> np.ndarray:
     path = _STRAP_TURN - 0.055 * np.maximum(around - 0.75, 0)
     aside = np.minimum(_STRAP_WIDTH - np.abs(frame.y - path), np.abs(frame.x) - _STRAP + _STRAP_WIDTH)
     return np.where(frame.arm < 0.45, np.maximum(over, aside), -0.05)
-
