@@ -12,7 +12,7 @@ class Progress:
 
     Attributes:
         step: steps taken.
-        seconds: time spent on steps.
+        seconds: time spent on steps and on what precedes the first.
         error: smoothed mean squared error in sRGB of the rays drawn.
         box_error: the same over the rays drawn from the whole box; NaN without such rays, and through
             scattering.

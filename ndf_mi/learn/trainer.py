@@ -50,7 +50,7 @@ class Trainer:
         run: what to train.
         capture: the images.
         options: schedule, sampling and loss.
-        spent: seconds of the training that went before the first step.
+        spent: seconds of the training that went before; what this takes is added.
 
     Attributes:
         batches: draws a batch for each step, as :class:`BatchSampler`; can be replaced.
@@ -63,6 +63,7 @@ class Trainer:
     """
 
     def __init__(self, run: Run, capture: Capture, options: TrainingOptions, spent: float = 0.0) -> None:
+        started = time.perf_counter()
         self.run = run
         self.options = options
         self._frames = capture.splits["train"].frames
@@ -92,7 +93,8 @@ class Trainer:
         self._guard = Guard(list(self.optimisers.values()))
         self._taken = 0
         self._scattering_begun = self.scattering
-        self._seconds = spent
+        # Images are read and masks weighed above.
+        self._seconds = spent + time.perf_counter() - started
         self._error = self._box_error = float("nan")
         self._evaluated = 0
 
