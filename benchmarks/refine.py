@@ -6,12 +6,12 @@ Perturbs a capture's fit in memory: joint angles and place by noise that changes
 and the training cameras. Trains on the fit as it is, on the perturbed one, and on the perturbed one with
 `refine`, with steps in turn. Prints errors on the training rays, on held-back training views and, unless
 `--no-held-out`, on novel views of training frames, with the share of the loss that refining brings back;
-and how far joints and cameras are from the unperturbed ones.
+and how far joints and cameras are from the unperturbed ones as perturbed, after the outlines of masks and
+after the field. `--steps 0` stops after the outlines.
 """
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import tempfile
 import time
@@ -88,6 +88,14 @@ def main(options: Options) -> None:
             trainers = {name: trainer(Path(folder) / name, truth if name == "clean" else wrong,
                                       options, seed, refine=name == "refined")
                         for name in ("clean", "perturbed", "refined") if name in options.only}
+            given = [wrong.cameras[name] for name in wrong.splits["train"].cameras]
+            print(f"seed {seed} perturbed: {fit_error(truth, wrong.poses, given)}", flush=True)
+            if "refined" in trainers:
+                new = trainers["refined"]
+                print(f"    after the outlines: {fit_error(truth, new.run.poses, cameras_of(new, wrong))}, "
+                      f"{new.progress.seconds:.1f} s with the reference surface", flush=True)
+            if not options.steps:
+                continue
             seconds = dict.fromkeys(trainers, 0.0)
             for _ in range(options.steps):
                 for name, each in trainers.items():
@@ -100,7 +108,8 @@ def main(options: Options) -> None:
 def trainer(folder: Path, capture: Capture, options: Options, seed: int, refine: bool) -> Trainer:
     """A new training of the preset `fast`."""
     names = tuple(options.refine.split(",")) if refine else None
-    preset, training = configured("fast", options.option, steps=options.steps, seed=seed, refine=names)
+    preset, training = configured("fast", options.option, steps=max(options.steps, 1), seed=seed,
+                                  refine=names)
     return start(folder, capture, preset, training)
 
 
@@ -120,14 +129,13 @@ def perturbed(capture: Capture, options: Options, seed: int) -> Capture:
             (pose[row], poses.root_rotation[row], shift[row]),
             (poses.pose[row], poses.root_rotation[row], poses.translation[row])))
         vertices[row] += moved - there
-    wrong = capture.with_body(body, dataclasses.replace(poses, pose=pose, translation=shift,
-                                                        vertices=vertices))
-    wrong.cameras = copy.copy(wrong.cameras)
+    cameras = []
     for name in split.cameras:
         axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-        wrong.cameras[name] = corrected(capture.cameras[name], np.radians(options.turn) * axis,
-                                        1e-3 * options.move * way, 0.0)
-    return wrong
+        cameras.append(corrected(capture.cameras[name], np.radians(options.turn) * axis,
+                                 1e-3 * options.move * way, 0.0))
+    wrong = dataclasses.replace(poses, pose=pose, translation=shift, vertices=vertices)
+    return capture.with_body(body, wrong).with_cameras(cameras)
 
 
 def slow(rng: np.random.Generator, frames: int, shape: tuple[int, ...]) -> np.ndarray:
@@ -156,9 +164,8 @@ def report(trainers: dict[str, Trainer], truth: Capture, wrong: Capture, seed: i
             novel[name] = float(np.mean(scores))
             text += f", novel views {novel[name]:.2f} dB"
         print(text, flush=True)
-        if name != "clean":
-            print(f"    joints {joint_error(truth, wrong.poses):.1f} -> "
-                  f"{joint_error(truth, each.run.poses):.1f} mm, {camera_errors(truth, wrong, each)}",
+        if name == "refined":
+            print(f"    after the field: {fit_error(truth, each.run.poses, cameras_of(each, wrong))}",
                   flush=True)
     if len(novel) == 3:
         share = (novel["refined"] - novel["perturbed"]) / (novel["clean"] - novel["perturbed"])
@@ -185,19 +192,18 @@ def joints(body: Body, poses: Poses, frame: int) -> np.ndarray:
     return np.einsum("jab,jb->ja", rows[:, :, :3], rest) + rows[:, :, 3]
 
 
-def camera_errors(truth: Capture, wrong: Capture, trainer: Trainer) -> str:
-    """Mean angle and distance of the training cameras from the true ones, before and after."""
-    names = truth.splits["train"].cameras
+def fit_error(truth: Capture, poses: Poses, cameras: list[Camera]) -> str:
+    """Mean distances of joints and training cameras from the true ones, and the cameras' angle."""
+    turns = [Rotation.from_matrix(truth.cameras[camera.name].transform[:3, :3].T
+                                  @ camera.transform[:3, :3]).magnitude() for camera in cameras]
+    moves = [np.linalg.norm(truth.cameras[camera.name].position - camera.position) for camera in cameras]
+    return (f"joints {joint_error(truth, poses):.1f} mm, cameras {np.degrees(np.mean(turns)):.2f} degrees "
+            f"and {1000 * float(np.mean(moves)):.1f} mm")
 
-    def error(cameras: list[Camera]) -> tuple[float, float]:
-        turns = [Rotation.from_matrix(truth.cameras[camera.name].transform[:3, :3].T
-                                      @ camera.transform[:3, :3]).magnitude() for camera in cameras]
-        moves = [np.linalg.norm(truth.cameras[camera.name].position - camera.position) for camera in cameras]
-        return float(np.degrees(np.mean(turns))), 1000 * float(np.mean(moves))
 
-    before = error([wrong.cameras[name] for name in names])
-    after = error([refined_camera(trainer.run, wrong.cameras[name]) for name in names])
-    return f"cameras {before[0]:.2f} -> {after[0]:.2f} degrees, {before[1]:.1f} -> {after[1]:.1f} mm"
+def cameras_of(trainer: Trainer, capture: Capture) -> list[Camera]:
+    """The training cameras as the run has them."""
+    return [refined_camera(trainer.run, capture.cameras[name]) for name in capture.splits["train"].cameras]
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ with rounds of offsets, which take up what clothes add to the body in all frames
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -54,6 +55,9 @@ OFFSETS_FROM, CAMERAS_FROM = 0.2, 0.6
 """Share of the rounds before offsets move, and before cameras do where poses are refined: while poses are far
 off, they would take up the poses' errors.
 """
+
+FEW, FEW_UNTIL = 24, 0.5
+"""Frames that suffice before that share of the rounds, where poses are correlated over time."""
 
 SHAPE_STEP = 0.1
 """Step of the differences that give the motion by a shape coefficient, in its standard deviations."""
@@ -118,17 +122,18 @@ class Registration:
             shape = mi.Float(self._shape.astype(np.float32))
         return Corrections(pose=pose, shape=shape)
 
-    def step(self, noise: float, robust: float, cameras: bool) -> None:
+    def step(self, noise: float, robust: float, cameras: bool, every: int = 1) -> None:
         """One step of Gauss and Newton.
 
         Args:
             noise: σ, metres.
             robust: the width of ρ, metres.
             cameras: whether cameras move.
+            every: 2 measures every second frame, and so on; the prior interpolates poses between them.
         """
         shared = np.concatenate([self._shape, self._cameras.ravel()])
         equations = NormalEquations(self._pose, shared, self._links)
-        for row, frame in enumerate(self._frames):
+        for row, frame in list(enumerate(self._frames))[::every]:
             self._add(equations, row, frame, noise, robust, cameras)
         pose, shared = equations.solve()
         self._pose += pose
@@ -223,10 +228,14 @@ def register(capture: Capture, options: TrainingOptions, budget: float | None = 
         return Registered(capture)
     start = time.perf_counter()
     found = Registration(capture, options.refine, options.refine_frames, options.seed)
+    thinned = math.ceil(len(capture.splits["train"].frames) / FEW)
+    if options.refine_frames < thinned:
+        thinned = 1
     taken, done = 0, 0.0
     while done < 1:
         found.step(_between(NOISE, done), _between(ROBUST, done),
-                   done >= CAMERAS_FROM or "pose" not in options.refine)
+                   cameras=done >= CAMERAS_FROM or "pose" not in options.refine,
+                   every=thinned if done < FEW_UNTIL else 1)
         if done >= OFFSETS_FROM:
             found.move_offsets(_between(LENGTHS, done))
         taken += 1

@@ -44,6 +44,7 @@ def pointing_error(camera, truth):
     return np.linalg.norm(camera.project(np.zeros((1, 3))) - truth.project(np.zeros((1, 3))))
 
 
+@pytest.mark.long
 def test_a_known_error_of_a_camera_is_found(capture, tmp_path):
     """By a field that was trained with the true cameras: one in training could take the shape that a single
     wrong camera sees of a ball."""
@@ -105,6 +106,7 @@ def skinned_capture(capture):
     return capture.with_body(body, poses)
 
 
+@pytest.mark.long
 def test_a_wrong_place_is_found_and_stays_found(capture, skinned_capture, tmp_path):
     options = dataclasses.replace(OPTIONS, refine=("pose",), pose_rate=0.1, refine_frames=0.0)
     trainer = taken(start(tmp_path / "run", skinned_capture, TINY, options), 250)

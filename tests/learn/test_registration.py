@@ -12,7 +12,7 @@ from ndf_mi.capture.silhouette import Silhouettes
 from ndf_mi.errors import InputError
 from ndf_mi.learn.camera_corrections import corrected
 from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.registration import PREFIX, register
+from ndf_mi.learn.registration import PREFIX, Registration, register
 
 OPTIONS = TrainingOptions(refine_outlines=8, refine_frames=0.0)
 NAMES = ("c0", "c1", "c2", "c3")
@@ -72,6 +72,17 @@ def test_poses_are_found(truth):
     again = posed(truth.body, poses.frames, poses.pose, poses.root_rotation, poses.translation, poses.shape)
     np.testing.assert_allclose(again.vertices, poses.vertices, atol=1e-5)
     assert found.tensors[f"{PREFIX}pose"].shape == (2, 2, 3)
+
+
+def test_the_prior_interpolates_frames_that_are_not_measured(truth):
+    wrong = perturbed(truth, shift=0.02)
+    found = Registration(wrong, ("pose",), correlation=10.0, seed=0)
+    found.step(noise=0.02, robust=0.1, cameras=False, every=2)
+    moved = found.tensors()[f"{PREFIX}translation"]
+    frames = truth.splits["train"].frames
+    kept = np.exp(-(frames[1] - frames[0]) / 10)
+    np.testing.assert_allclose(moved[1], kept * moved[0], atol=1e-5)
+    assert np.abs(moved[0]).max() > 0.01
 
 
 def test_a_camera_is_found(truth):
