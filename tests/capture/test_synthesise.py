@@ -115,7 +115,7 @@ def test_the_same_seed_makes_the_same_capture_and_a_stopped_one_goes_on(tiny: Pa
     stamp = kept.stat().st_mtime_ns
     calls: list[tuple[int, int]] = []
     synthesise(again, TINY, progress=lambda done, total: calls.append((done, total)))
-    assert calls[1:] == [(12, 13), (13, 13)]
+    assert calls == [(12, 13), (13, 13)]
     assert kept.stat().st_mtime_ns == stamp
     assert lost.read_bytes() == (tiny / "images" / "cam00" / "000001.png").read_bytes()
     assert Capture.read(again).digest == Capture.read(tiny).digest

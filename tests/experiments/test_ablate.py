@@ -175,7 +175,7 @@ def test_studies_older_than_an_option_continue(capture, tmp_path, untrained):
         del config["training"]["pose_noise"]
         file.write_text(json.dumps(config))
     assert rows(study(capture, tmp_path, options=quiet)) == ["full", "no-pose"]
-    with pytest.raises(InputError, match="pose_noise = 0.0; expected 0.1"):
+    with pytest.raises(InputError, match="pose_noise = 0.0; expected pose_noise = 0.1"):
         study(capture, tmp_path)
 
 

@@ -157,7 +157,7 @@ def refused(truth, lit_capture, tmp_path, capsys):
             change(capture.path)
         out = tmp_path / "out"
         assert commands.main(["optimise", str(capture.path), "-o", str(out), "--preset", "tiny",
-                              "--integrator", integrator, *more]) == 2
+                              "--integrator", integrator, "--option", "surface=body", *more]) == 2
         assert not out.exists()
         return capsys.readouterr().err
 

@@ -75,6 +75,6 @@ def test_masks_of_one_pixel(check: Check, pair: str) -> None:
             at=f"{pair} at {place}",
         )
     empty = metrics.measure(truth, image, np.zeros((SIZE, SIZE), bool))
-    assert [value for key, value in empty.items() if key.startswith("box")] == [None] * 4
+    assert {value for key, value in empty.items() if key.startswith("box")} == {None}
     full = metrics.measure(truth, image, np.ones((SIZE, SIZE), bool))
     assert full["box_psnr"] == full["psnr"] and full["box_ssim"] == full["ssim"]
