@@ -107,7 +107,7 @@ class Optimise:
         from ndf_mi.field import preset as preset_of
         from ndf_mi.learn.loop import expect_new, start
         from ndf_mi.learn.prepare import measured_bands, reference, with_bands
-        from ndf_mi.learn.scattering import relightable
+        from ndf_mi.learn.scattering import DENSITY_LIMIT, relightable
         from ndf_mi.options import read_options
         from ndf_mi.planning.plan import PlanSettings, read_preset
 
@@ -131,7 +131,10 @@ class Optimise:
                 with status() as show:
                     bands, spent = measured_bands(capture, surface, base, settings, show)
         elif planning:
-            found = planned(capture, surface, PlanSettings())
+            settings = PlanSettings()
+            if self.integrator != QUADRATURE:
+                settings = PlanSettings(density_limit=DENSITY_LIMIT)
+            found = planned(capture, surface, settings)
             print(printed(found.plan) + "\n")
             base, plan, spent = found.plan.preset, found.plan.to_dict(), found.seconds
             bands = found.plan.bands

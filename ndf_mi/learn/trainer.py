@@ -94,7 +94,7 @@ class Trainer:
         self._taken = 0
         self._scattering_begun = self.scattering
         # Images are read and masks weighed above.
-        self._seconds = spent + time.perf_counter() - started
+        self._spent = self._seconds = spent + time.perf_counter() - started
         self._error = self._box_error = float("nan")
         self._evaluated = 0
 
@@ -110,7 +110,7 @@ class Trainer:
     def done(self) -> float:
         """Share of the training that is done, in [0, 1]."""
         by_steps = self._taken / self.options.steps
-        # What goes before may take all of a short time: one step is always taken.
+        # At least one step is taken, even if the time is over before it.
         by_clock = self._seconds / self.options.seconds if self.options.seconds > 0 and self._taken else 0.0
         return min(1.0, max(by_steps, by_clock))
 
@@ -179,6 +179,7 @@ class Trainer:
         metadata: dict[str, Any] = {
             "step": self._taken,
             "seconds": self._seconds,
+            "spent": self._spent,
             "error": None if math.isnan(self._error) else self._error,
             "box_error": None if math.isnan(self._box_error) else self._box_error,
             "rate_factor": self._guard.rate_factor,
@@ -206,7 +207,8 @@ class Trainer:
             self._rng.bit_generator.state = metadata["random"]
             self._taken, self._seconds = int(metadata["step"]), float(metadata["seconds"])
             self._error = _number(metadata["error"])
-            # Older files lack these three, and the best parameters.
+            # Older files lack these, and the best parameters.
+            self._spent = float(metadata.get("spent", 0.0))
             self._box_error = _number(metadata.get("box_error"))
             self._guard.rate_factor = float(metadata.get("rate_factor", 1.0))
             self._guard.steps_refused = int(metadata.get("refused", 0))
@@ -304,7 +306,12 @@ class Trainer:
         options = self.options
         if options.decay_steps:
             return self._taken / options.decay_steps
-        if options.integrator == QUADRATURE or options.seconds > 0:
+        if options.seconds > 0:
+            # From the first step on: what went before has taken no step.
+            left = max(options.seconds - self._spent, 1e-9)
+            by_clock = (self._seconds - self._spent) / left
+            return min(1.0, max(self._taken / options.steps, by_clock))
+        if options.integrator == QUADRATURE:
             return self.done
         if not self.scattering:
             return self._taken / options.warm_up

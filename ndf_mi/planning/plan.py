@@ -28,6 +28,7 @@ class PlanSettings:
         worth: dB of that PSNR that a part must be worth to be kept.
         frames: limit on the training frames read; evenly spaced.
         seed: seed for drawing places where a capture shows more than are needed.
+        density_limit: largest density in 1/m that the model can have; how deep its band must reach follows.
 
     Raises:
         InputError: a value is out of range.
@@ -37,10 +38,11 @@ class PlanSettings:
     worth: float = 0.1
     frames: int = 24
     seed: int = 0
+    density_limit: float = 500.0
 
     def __post_init__(self) -> None:
         for key, low, high in (("accuracy", 5, 80), ("worth", 1e-3, 20), ("frames", 1, 10**6),
-                               ("seed", 0, 2**31 - 1)):
+                               ("seed", 0, 2**31 - 1), ("density_limit", 1, 1e6)):
             if not low <= getattr(self, key) <= high:
                 raise InputError(f"--{key}", repr(getattr(self, key)), f"a number from {low:g} to {high:g}")
 

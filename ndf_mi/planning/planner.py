@@ -40,7 +40,7 @@ def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B00
     Raises:
         InputError: an image cannot be read, or none shows the body within the mask.
     """
-    full = full_model()
+    full = _full(settings)
     frames = chosen_frames(capture, settings.frames)
     progress("images")
     observations, views = observe(capture, frames)
@@ -92,8 +92,14 @@ def local_bands(capture: Capture, preset: Preset, settings: PlanSettings,
     observations, views = observe(capture, frames)
     measured = detail(capture.body, _rest(capture), observations, views)
     local = place_bands(_rest(capture), capture.body.faces, standoff(capture, frames, views),
-                        settings.allowed_error, measured.footprint / 2, full_model(), residual)
+                        settings.allowed_error, measured.footprint / 2, _full(settings), residual)
     return _within(local, preset.band, preset.band_inside)
+
+
+def _full(settings: PlanSettings) -> Preset:
+    """The full model, with the settings' density limit."""
+    full = full_model()
+    return dataclasses.replace(full, density_limit=min(full.density_limit, settings.density_limit))
 
 
 def _rest(capture: Capture) -> np.ndarray:
