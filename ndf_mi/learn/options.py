@@ -44,8 +44,9 @@ class TrainingOptions:
     first, so that clothes and hair come within reach of a thin band; or `body`, the body alone, as in the
     paper."""
 
-    bands: Literal["local", "uniform"] = "local"
-    """With a plan: each place has the band that it needs, or all have the widest."""
+    bands: Literal["uniform", "local"] = "uniform"
+    """With a plan: all places have the band that the widest needs, or each has its own, which is quicker and
+    can be less accurate where masks say little."""
 
     skip_empty: bool = True
     """Skip samples in cells that have been empty so far, except for a random eighth of them."""

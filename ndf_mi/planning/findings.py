@@ -136,7 +136,8 @@ def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Pr
     figures: dict[str, float | None] = {"outside_mm": 1e3 * outside, "inside_mm": 1e3 * inside}
     if local is not None:
         wide, depth = np.median(np.minimum(local, [band, deep]), axis=0)
-        follows += f" at most; at half of the vertices from {1e3 * depth:.0f} mm to {1e3 * wide:.0f} mm"
+        follows += (f"; half of the vertices would need no more than from {1e3 * depth:.0f} mm to "
+                    f"{1e3 * wide:.0f} mm (bands=local)")
         figures |= {"median_outside_mm": 1e3 * float(wide), "median_inside_mm": 1e3 * float(depth)}
     return Finding(
         "band", "how far does the performer stand off the reference surface?", evidence, follows,

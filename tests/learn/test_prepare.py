@@ -40,10 +40,10 @@ def test_around_the_body_nothing_is_fitted(capture: Capture, monkeypatch: pytest
     assert found.body is capture.body and found.kind == "body" and not found.tensors and record(found) == {}
 
 
-def test_bands_are_local_unless_one_width_was_asked_for(capture: Capture) -> None:
+def test_bands_are_local_where_asked_for_and_no_width_was_set(capture: Capture) -> None:
     wide = dataclasses.replace(preset("fast"), band=0.05, band_inside=0.03)
     bands = np.full((capture.poses.vertices.shape[1], 2), 0.03, np.float32)
-    surface, options = Reference(capture.body, capture.poses), TrainingOptions()
+    surface, options = Reference(capture.body, capture.poses), TrainingOptions(bands="local")
     assert with_bands(surface, bands, wide, wide, options).tensors["bands"] is bands
     assert not with_bands(surface, bands, wide, wide, dataclasses.replace(options, bands="uniform")).tensors
     for asked in ({"band": 0.1}, {"band_inside": 0.02}):
