@@ -115,7 +115,7 @@ class TrainingOptions:
     integrator only during `warm_up`."""
 
     camera_colours: bool = False
-    """Learn an affine map of linear colour for each training camera, of which the mean is the identity. With
+    """Learn an affine map of linear colour for each training camera, whose mean is the identity. With
     a scattering integrator only during `warm_up`."""
 
     pose_rate: float = 0.05

@@ -86,7 +86,7 @@ class Refinement:
             self._cameras = CameraCorrections(cameras)
         if options.camera_colours:
             if len(cameras) < 2:
-                raise InputError("option camera-colours", f"{len(cameras)} training camera",
+                raise InputError("--camera-colours", f"{len(cameras)} training camera",
                                  "at least 2: colours are corrected relative to the cameras' mean")
             self.colours = CameraColours(len(cameras))
         if self._cameras is not None or self.colours is not None:

@@ -37,9 +37,6 @@ SAMPLES = 768
 REACH = 0.12
 """Metres that a point moves at most in one round."""
 
-LENGTHS = (0.1, 0.1, 0.08, 0.08, 0.06, 0.06, 0.05, 0.05, 0.04, 0.04, 0.03, 0.03)
-"""h of each round, metres."""
-
 SMOOTH = 0.008
 """s, metres."""
 
@@ -285,7 +282,7 @@ class OutlineFit:
         places = (point[:, None] + signed[..., None] * normal[:, None]).reshape(-1, 2)
         values = sampled(matte, places).reshape(signed.shape)
         crossed = (values >= 0.5) != inside[:, None]
-        first = crossed.argmax(axis=1)  # not 0, where it is as it is at the point itself
+        first = crossed.argmax(axis=1)  # At 0 it is the point itself, which never counts.
         rows = np.arange(len(point))
         a, b = values[rows, first - 1], values[rows, first]
         distance = along[first] - STEP * (b - 0.5) / np.where(a == b, 1, b - a)

@@ -81,9 +81,8 @@ def fit_reference(capture: Capture, budget: float | None = None, seed: int = 0,
 
     Args:
         capture: with a `train` split.
-        budget: wall-clock seconds to end by, if the steps are not done before (the estimate may be off by a
-            second); None takes all steps, which
-            repeats on the same machine.
+        budget: wall-clock seconds to end by, within about a second, if the steps are not done before; None
+            takes all steps, which repeats on the same machine.
         seed: of the order of frames and of the samples.
         progress: called after each step with the seconds and steps so far, and the share of the fit that is
             done, in (0, 1].
