@@ -118,14 +118,14 @@ class TrainingOptions:
     """Learn an affine map of linear colour for each training camera, whose mean is the identity. With
     a scattering integrator only during `warm_up`."""
 
-    pose_rate: float = 0.05
+    pose_rate: float = 0.015
     """Adam's learning rate for the corrections of poses, in standard deviations of their prior (5° of a
     joint, 20 mm)."""
 
     shape_rate: float = 0.02
     """Adam's learning rate for the shape's corrections, in standard deviations (10 mm of the surface)."""
 
-    camera_rate: float = 0.02
+    camera_rate: float = 0.006
     """Adam's learning rate for the cameras' corrections, in standard deviations (0.5°, 10 mm, 1 % of the
     focal length)."""
 

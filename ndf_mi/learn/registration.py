@@ -48,16 +48,19 @@ NOISE = (0.1, 0.02)
 ROBUST = (0.2, 0.03)
 """Distance beyond which ρ grows no further, of the first and the last round, metres."""
 
-LENGTHS = (0.2, 0.05)
+LENGTHS = (0.1, 0.03)
 """Metres over which the first and the last round of offsets move the surface smoothly."""
 
-OFFSETS_FROM, CAMERAS_FROM = 0.2, 0.6
+OFFSETS_FROM, CAMERAS_FROM = 0.1, 0.4
 """Share of the rounds before offsets move, and before cameras do where poses are refined: while poses are far
 off, they would take up the poses' errors.
 """
 
-FEW, FEW_UNTIL = 24, 0.5
+FEW, FEW_UNTIL = 16, 0.7
 """Frames that suffice before that share of the rounds, where poses are correlated over time."""
+
+OFFSETS = 2
+"""Rounds of offsets, a few frames each, for each round of poses."""
 
 SHAPE_STEP = 0.1
 """Step of the differences that give the motion by a shape coefficient, in its standard deviations."""
@@ -237,7 +240,8 @@ def register(capture: Capture, options: TrainingOptions, budget: float | None = 
                    cameras=done >= CAMERAS_FROM or "pose" not in options.refine,
                    every=thinned if done < FEW_UNTIL else 1)
         if done >= OFFSETS_FROM:
-            found.move_offsets(_between(LENGTHS, done))
+            for _ in range(OFFSETS):
+                found.move_offsets(_between(LENGTHS, done))
         taken += 1
         done = taken / rounds
         if budget is not None:

@@ -69,7 +69,8 @@ def test_a_known_error_of_a_camera_is_found(capture, tmp_path):
 
 
 def test_a_killed_training_ends_at_the_corrections_of_an_uninterrupted_one(capture, tmp_path):
-    options = dataclasses.replace(OPTIONS, steps=12, refine=("cameras",), camera_colours=True, refine_after=4)
+    options = dataclasses.replace(OPTIONS, steps=12, refine=("cameras",), camera_colours=True, refine_after=4,
+                                  camera_rate=0.02)
     whole = taken(start(tmp_path / "whole", capture, TINY, options), 12)
     half = taken(start(tmp_path / "half", capture, TINY, options), 7)
     half.save()
