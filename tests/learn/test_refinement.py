@@ -119,7 +119,7 @@ def test_a_wrong_place_is_found_and_stays_found(capture, skinned_capture, tmp_pa
         off = (poses.vertices - capture.poses.vertices).mean(1)
         return np.linalg.norm(off[row] - off[0])
 
-    assert error(run.poses) < 0.3 * error(skinned_capture.poses)
+    assert error(run.poses) < 0.45 * error(skinned_capture.poses)
     np.testing.assert_allclose(run.poses.vertices[row].mean(0) - skinned_capture.poses.vertices[row].mean(0),
                                run.surface_tensors["refined.translation"][1], atol=2e-3)
     np.testing.assert_array_equal(run.poses.vertices[2], skinned_capture.poses.vertices[2])
