@@ -65,7 +65,7 @@ def test_a_scattering_run_is_known_as_one() -> None:
 
 def test_a_plan_is_read(old: Path) -> None:
     capture = Capture.read(old / "capture")
-    preset, document = read_preset(old / "plan.json", capture.digest)
+    preset, document = read_preset(old / "plan.json", capture.digest, "body")
     assert preset.name == "planned" and document["findings"]
 
 
