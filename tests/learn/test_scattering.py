@@ -133,7 +133,7 @@ def test_the_paper_preset_gets_a_density_above_0(truth, lit_capture, tmp_path, c
     arguments = ["optimise", str(capture.path), "-o", str(tmp_path / "out"), "--preset", "paper",
                  "--integrator", "prbvolpath"]
     assert commands.main(arguments) == 2
-    assert "density_activation=softplus" in capsys.readouterr().out
+    assert "lighting" in capsys.readouterr().err
 
 
 def test_a_training_that_ends_before_scattering_begins_warns(truth, lit_capture, tmp_path, capsys):
@@ -144,6 +144,7 @@ def test_a_training_that_ends_before_scattering_begins_warns(truth, lit_capture,
     assert commands.main(arguments) == 0
     printed = capsys.readouterr().out
     assert "prbvolpath" in printed and "1500" in printed and "warm_up" in printed
+    assert "density_limit=150" in printed
     assert not Run.load(tmp_path / "run").scattered
 
 
