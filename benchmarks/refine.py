@@ -3,7 +3,7 @@
     python benchmarks/refine.py CAPTURE --steps 2000 --seeds 0 1
 
 Perturbs a capture's fit in memory: joint angles and place by noise that changes slowly over the frames,
-and the training cameras. Trains on the fit as it is, on the perturbed one, and on the perturbed one with
+and the training cameras. Trains on the original fit, on the perturbed one, and on the perturbed one with
 `refine`, with steps in turn. Prints errors on the training rays, on held-back training views and, unless
 `--no-held-out`, on novel views of training frames, with the share of the loss that refining brings back;
 and how far joints and cameras are from the unperturbed ones as perturbed, after the outlines of masks and

@@ -27,7 +27,7 @@ def registered_capture(capture: Capture, tensors: Mapping[str, np.ndarray]) -> C
     """The capture with its training cameras as registration corrected them.
 
     Args:
-        capture: as it is on disk.
+        capture: as read from disk.
         tensors: as `Run.surface_tensors`.
     """
     return capture.with_cameras([_corrected(capture.cameras[name], tensors, REGISTERED, row)
