@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +24,7 @@ from ndf_mi.learn.board import Board
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.prepare import Reference, planned, record, reference, with_bands
 from ndf_mi.learn.scattering import check_integrator
+from ndf_mi.learn.signals import Signals
 from ndf_mi.learn.trainer import STATE, Trainer
 from ndf_mi.run import SURFACE, Run
 from ndf_mi.training_log import FILE_NAME as LOG
@@ -141,7 +140,7 @@ def train(trainer: Trainer, quiet: bool = False,
     last_save = time.perf_counter()
     board = Board(folder, trainer.progress.step, quiet)
     try:
-        with _Signals() as signals, _bar(quiet) as bar, open(folder / LOG, "a") as log:
+        with Signals() as signals, _bar(quiet) as bar, open(folder / LOG, "a") as log:
             task = bar.add_task("training", total=1.0, psnr="")
             bar.update(task, completed=trainer.done)
             while trainer.done < 1 and not signals.received:
@@ -193,28 +192,6 @@ def _bar(quiet: bool) -> Progress:
     return Progress(TextColumn("training"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"),
                     TextColumn("{task.fields[psnr]}"), TimeElapsedColumn(), TimeRemainingColumn(),
                     disable=quiet or not sys.stderr.isatty())
-
-
-class _Signals:
-    """Records SIGINT and SIGTERM instead of their usual effect, which a second signal has."""
-
-    def __init__(self) -> None:
-        self.received = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> _Signals:
-        if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._record)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _record(self, number: int, _frame: object) -> None:
-        self.received = True
-        signal.signal(number, self._before[number])
 
 
 def _log(log: TextIO, board: Board, trainer: Trainer) -> None:

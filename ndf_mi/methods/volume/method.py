@@ -1,0 +1,266 @@
+"""What methods that train a volume share: everything but the volume itself."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import drjit as dr
+import mitsuba as mi
+import msgspec
+import numpy as np
+
+from ndf_mi.capture.camera import Camera
+from ndf_mi.capture.capture import Capture
+from ndf_mi.errors import InputError
+from ndf_mi.learn.options import TrainingOptions
+from ndf_mi.learn.prepare import reference
+from ndf_mi.learn.signals import Signals
+from ndf_mi.learn.state import read_state, write_state
+from ndf_mi.methods.base import Budget, Progress
+from ndf_mi.methods.volume.chunks import Chunked
+from ndf_mi.methods.volume.optimisation import Optimisation, Schedule
+from ndf_mi.methods.volume.rays import RayObjective, RaySettings
+from ndf_mi.methods.volume.record import (
+    FILE_NAME,
+    TENSORS,
+    Tensors,
+    VolumeRecord,
+    expect_shape,
+    read_record,
+    read_volume,
+    write_volume,
+)
+from ndf_mi.methods.volume.volume import Volume
+from ndf_mi.render.image import RECIPE, ImageRenderer
+from ndf_mi.surface.reference import with_offsets
+from ndf_mi.surface.rest_frames import RestFrames
+
+STATE = "state.safetensors"
+CHECKPOINT_SECONDS = 60.0
+
+
+@dataclass(frozen=True)
+class VolumePreset:
+    """How a volume is built and trained.
+
+    Attributes:
+        architecture: a dataclass of JSON values.
+        schedule: rates and length.
+        rays: rays and loss.
+        surface: what the volume is built on: `body`, or `offset`, the body with static offsets that are
+            fitted to the training images first.
+    """
+
+    architecture: Any
+    schedule: Schedule
+    rays: RaySettings
+    surface: Literal["body", "offset"] = "body"
+
+    def to_dict(self) -> dict[str, Any]:
+        """All options as JSON values."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
+
+
+class VolumeMethod:
+    """A method whose volume is trained on rays of the training images and rendered by quadrature, one ray
+    through each pixel's centre.
+
+    A method derives from this, and defines `key`, `label`, `presets` and `volume`.
+
+    Args:
+        preset: one of `presets`.
+        samples: candidate samples a ray of images.
+
+    Attributes:
+        parameters: what was trained, once it was, or loaded; detached.
+
+    Raises:
+        InputError: there is no such preset, or `samples` is not above 0.
+    """
+
+    key: str
+    label: str
+    presets: ClassVar[Mapping[str, VolumePreset]]
+
+    def __init__(self, preset: str = "fast", samples: int = 128) -> None:
+        if preset not in self.presets:
+            raise InputError(f"method {self.key}: preset", repr(preset),
+                             "one of " + ", ".join(self.presets))
+        self.preset = self.presets[preset]
+        self._name = preset
+        self._renderer = ImageRenderer(samples=samples)
+
+    def volume(self, capture: Capture, architecture: Any) -> Volume:
+        """The volume for a capture, whose body and poses are those of the surface to build on.
+
+        Raises:
+            InputError: the capture lacks what it needs.
+        """
+        raise NotImplementedError
+
+    def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
+        """Trains for the budget's seconds, or the preset's steps without them."""
+        self._train(None, capture, budget, progress)
+
+    def fit_in(self, folder: str | os.PathLike[str], capture: Capture, budget: Budget,
+               progress: Progress | None = None) -> None:
+        """As `fit` and `save`. A finished training in the folder is loaded, a stopped one continues, and that
+        of another capture, preset or budget is replaced.
+
+        Raises:
+            KeyboardInterrupt: stopped by a signal; the next call continues.
+        """
+        folder = Path(folder)
+        try:
+            if read_record(folder).same_training(self._record_of(capture, budget)):
+                return self.load(folder, capture)
+        except InputError:
+            pass  # there is none, or it is damaged
+        (folder / FILE_NAME).unlink(missing_ok=True)
+        self._train(folder, capture, budget, progress)
+        self.save(folder)
+        (folder / STATE).unlink(missing_ok=True)
+
+    def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
+        """Reads what `save` wrote.
+
+        Raises:
+            InputError: a file is missing or damaged, or does not belong to the method, the capture or a
+                preset of this version.
+        """
+        record, tensors = read_volume(folder, self.key, capture)
+        for name, preset in self.presets.items():
+            if preset.to_dict() == record.preset:
+                self._name, self.preset = name, preset
+                break
+        else:
+            raise InputError(f"{Path(folder) / FILE_NAME}: preset", "options of another version",
+                             "those of " + " or ".join(self.presets), "Train it again.")
+        volume = self._place(capture, tensors.get("offsets"))
+        for name, value in volume.initial(np.random.default_rng(0)).items():
+            expect_shape(f"{Path(folder) / TENSORS}: {name}", tensors.get(name), value.shape)
+        self._take(capture, volume, record, tensors)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Writes `volume.safetensors`, and `volume.json` last."""
+        write_volume(folder, self._record, self._tensors)
+
+    def render(self, camera: Camera, frame: int) -> np.ndarray:
+        """(h, w, 3) float32 sRGB in [0, 1] over the capture's background."""
+        with dr.suspend_grad():
+            posed = self._volume.at(frame, self.parameters)
+            return self._renderer(Chunked(posed), camera).over(self._background)
+
+    def metadata(self) -> dict[str, Any]:
+        """The members of the record, and keys that `methods.base` lists."""
+        known = msgspec.to_builtins(self._record)
+        more = known.pop("more")
+        known["architecture"] = known.pop("preset")
+        return {**known, **more, "preset": self._name, "parameters": self.size,
+                "options": {"preset": self._name, "samples": self._renderer.samples}}
+
+    def cache_key(self) -> str:
+        """SHA-256 (hex) over parameters, surface, preset, capture and how images are rendered."""
+        record = self._record
+        how = [RECIPE, self._renderer.samples, record.method, record.preset, record.capture]
+        state = hashlib.sha256(json.dumps(how).encode())
+        for name, values in sorted(self._tensors.items()):
+            state.update(name.encode() + values.tobytes())
+        return state.hexdigest()
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return sum(value.size for name, value in self._tensors.items() if name != "offsets")
+
+    def _train(self, folder: Path | None, capture: Capture, budget: Budget,
+               progress: Progress | None) -> None:
+        record, preset = self._record_of(capture, budget), self.preset
+        state = None if folder is None else _read_checkpoint(folder / STATE, record)
+        if state is None:
+            options = TrainingOptions(surface=preset.surface, seconds=budget.seconds or 0.0, seed=budget.seed)
+            surface = reference(capture, options)
+            offsets, record.surface_seconds = surface.tensors.get("offsets"), surface.seconds
+        else:
+            offsets, record.surface_seconds = state[0].get("offsets"), float(state[1]["surface_seconds"])
+        volume = self._place(capture, offsets)
+        objective = RayObjective(capture, volume, preset.rays)
+        optimisation = Optimisation(
+            volume.initial(np.random.default_rng([budget.seed, 0])), objective, preset.schedule,
+            budget.seconds, budget.seed, volume.rates, record.surface_seconds)
+        if state is not None:
+            optimisation.restore(*state, str(folder))
+        kept = {} if offsets is None else {"offsets": offsets}
+
+        def checkpoint() -> None:
+            if folder is not None:
+                write_state(folder / STATE, {**kept, **optimisation.tensors()},
+                            {**optimisation.metadata(), "surface_seconds": record.surface_seconds,
+                             "record": msgspec.to_builtins(self._record_of(capture, budget))})
+
+        train(optimisation, progress, checkpoint)
+        record.seconds, record.steps = round(optimisation.seconds, 3), optimisation.steps
+        record.refused, record.history = optimisation.steps_refused, optimisation.history
+        found = {name: value.numpy() for name, value in optimisation.parameters.items()}
+        self._take(capture, volume, record, {**kept, **found})
+
+    def _record_of(self, capture: Capture, budget: Budget) -> VolumeRecord:
+        """The record of a training that has not begun."""
+        return VolumeRecord(method=self.key, preset=self.preset.to_dict(), capture=capture.digest,
+                            seed=budget.seed, budget=budget.seconds)
+
+    def _place(self, capture: Capture, offsets: np.ndarray | None) -> Volume:
+        """The volume on the capture's body, with these offsets if there are any."""
+        if offsets is not None:
+            capture = capture.with_body(*with_offsets(capture, RestFrames(capture), offsets))
+        return self.volume(capture, self.preset.architecture)
+
+    def _take(self, capture: Capture, volume: Volume, record: VolumeRecord, tensors: Tensors) -> None:
+        self._background, self._volume = capture.background, volume
+        self._record, self._tensors = record, tensors
+        self.parameters = {name: mi.Float(value) for name, value in tensors.items() if name != "offsets"}
+
+
+def train(optimisation: Optimisation, progress: Progress | None, checkpoint: Callable[[], None]) -> None:
+    """Trains to the end, or until SIGINT or SIGTERM.
+
+    Args:
+        optimisation: new or restored.
+        progress: called after each step that is taken.
+        checkpoint: called about once a minute, and when a signal has arrived.
+
+    Raises:
+        KeyboardInterrupt: a signal arrived.
+        InputError: too many steps were refused.
+    """
+    saved = time.perf_counter()
+    with Signals() as signals:
+        while optimisation.done < 1 and not signals.received:
+            taken = optimisation.steps
+            optimisation.step()
+            if progress is not None and optimisation.steps > taken:
+                progress(optimisation.seconds, optimisation.steps, optimisation.error)
+            if time.perf_counter() - saved > CHECKPOINT_SECONDS:
+                checkpoint()
+                saved = time.perf_counter()
+    if signals.received:
+        checkpoint()
+        raise KeyboardInterrupt
+
+
+def _read_checkpoint(file: Path, record: VolumeRecord) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+    """The state of a stopped training like `record`'s; None if there is none."""
+    try:
+        tensors, metadata = read_state(file)
+        known = msgspec.convert(metadata["record"], VolumeRecord)
+    except (InputError, KeyError, msgspec.ValidationError):
+        return None
+    return (tensors, metadata) if known.same_training(record) else None
