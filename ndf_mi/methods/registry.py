@@ -72,6 +72,7 @@ _ENTRIES = {
     "ndf": Entry("ndf", "ndf_mi.methods.ndf:NeuralField"),
     "mesh": Entry("mesh", "ndf_mi.methods.mesh:TexturedMesh"),
     "offset-mesh": Entry("offset-mesh", "ndf_mi.methods.offset_mesh:OffsetMesh"),
+    "neural-body": Entry("neural-body", "ndf_mi.methods.neural_body.method:NeuralBody"),
     "images": Entry("images", "ndf_mi.methods.images:Images", trains=False),
 }
 

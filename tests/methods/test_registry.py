@@ -100,7 +100,7 @@ def test_a_method_is_read_from_the_command_line(text, spec, name):
 @pytest.mark.parametrize(
     "text, words",
     [
-        ("gauss", ["gauss", "ndf, mesh, offset-mesh, images"]),
+        ("gauss", ["gauss", "ndf, mesh, offset-mesh, ", ", images"]),
         ("", ["ndf"]),
         ("mesh@fast", ["fast", "converged", "equal-time"]),
         ("mesh@", ["converged", "equal-time"]),

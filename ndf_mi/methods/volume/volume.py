@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Protocol, TypeAlias
 
 import mitsuba as mi
@@ -56,19 +57,37 @@ class Volume(Protocol):
         ...
 
 
-def stack_layers(sizes: Sequence[tuple[str, int, int]]) -> dict[str, Layer]:
-    """Affine layers (name, inputs, outputs), one after the other in a flat vector, by name."""
+def stack_layers(sizes: Sequence[tuple[str, int, int]], shared: Mapping[str, int] = MappingProxyType({})
+                 ) -> dict[str, Layer]:
+    """Affine layers, one after the other in a flat vector, by name. `initial_weights` fills it.
+
+    Args:
+        sizes: name, inputs that change with the sample, and outputs of each.
+        shared: number of inputs that are the same for all samples, such as a latent code, by layer.
+    """
     layers: dict[str, Layer] = {}
     offset = 0
     for name, inputs, outputs in sizes:
-        layers[name] = Layer(name, inputs, 0, outputs, offset)
+        layers[name] = Layer(name, inputs, shared.get(name, 0), outputs, offset)
         offset += layers[name].size
     return layers
 
 
-def layer_tensors(weights: mi.Float, layers: Mapping[str, Layer]
+def layer_tensors(weights: mi.Float, layers: Mapping[str, Layer],
+                  shared: Mapping[str, mi.Float] = MappingProxyType({})
                   ) -> dict[str, tuple[mi.TensorXf, mi.TensorXf]]:
-    """Matrix (outputs, inputs) and bias (outputs, 1) of each layer, attached to the flat vector: what the
-    engines of `ndf_mi.field.engines` take.
+    """Matrix (outputs, inputs) and bias (outputs, 1) of each layer, attached: what the engines of
+    `ndf_mi.field.engines` take.
+
+    Args:
+        weights: the flat vector.
+        shared: the inputs that are the same for all samples, by layer; their products become a part of the
+            bias.
     """
-    return {name: matrices(weights, layer)[:2] for name, layer in layers.items()}
+    found = {}
+    for name, layer in layers.items():
+        matrix, bias, columns = matrices(weights, layer)
+        if columns is not None:
+            bias = bias + columns @ mi.TensorXf(shared[name], (layer.pose, 1))
+        found[name] = matrix, bias
+    return found
