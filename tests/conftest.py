@@ -21,7 +21,7 @@ if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
 
     dr.set_thread_count(max((os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"]), 2))
 
-pytest_plugins = ["sphere_capture", "lit_capture", "trained_run"]
+pytest_plugins = ["sphere_capture", "lit_capture", "limb_capture", "trained_run"]
 
 if TYPE_CHECKING:
     from ndf_mi.body.body import Body

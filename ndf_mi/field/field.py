@@ -26,13 +26,15 @@ class Field:
 
     Attributes:
         preset: the architecture's options.
-        joints: number J of the body's joints; the pose vector has 3·J entries.
+        joints: number J of the body's joints.
+        pose_width: entries of the pose vector, 3·J.
         layers: the layers by name, and where each lies in the flat vector of weights.
     """
 
     def __init__(self, preset: Preset, joints: int) -> None:
         self.preset = preset
         self.joints = joints
+        self.pose_width = 3 * joints
         self.layers = layout(preset, joints)
         self.encoding = GridEncoding(preset) if preset.encoding == "grid" else None
 
@@ -84,7 +86,7 @@ class BoundField:
         self.half = False
         self._density_views: Views | None = None
 
-        features = mi.TensorXf(pose, (3 * field.joints, 1))
+        features = mi.TensorXf(pose, (field.pose_width, 1))
         for i in range(len(self.preset.pose_layers)):
             weight, bias, _ = matrices(parameters.weights, field.layers[f"pose{i}"])
             features = dr.maximum(weight @ features + bias, 0)

@@ -6,8 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -22,11 +21,9 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.prepare import reference
-from ndf_mi.learn.signals import Signals
-from ndf_mi.learn.state import read_state, write_state
 from ndf_mi.methods.base import Budget, Progress
 from ndf_mi.methods.volume.chunks import Chunked
-from ndf_mi.methods.volume.optimisation import Optimisation, Schedule
+from ndf_mi.methods.volume.optimisation import Schedule
 from ndf_mi.methods.volume.rays import RayObjective, RaySettings
 from ndf_mi.methods.volume.record import (
     FILE_NAME,
@@ -38,13 +35,13 @@ from ndf_mi.methods.volume.record import (
     read_volume,
     write_volume,
 )
+from ndf_mi.methods.volume.stages import FinalStage, Training
 from ndf_mi.methods.volume.volume import Volume
 from ndf_mi.render.image import RECIPE, ImageRenderer
 from ndf_mi.surface.reference import with_offsets
 from ndf_mi.surface.rest_frames import RestFrames
 
 STATE = "state.safetensors"
-CHECKPOINT_SECONDS = 60.0
 
 
 @dataclass(frozen=True)
@@ -106,6 +103,10 @@ class VolumeMethod:
         """
         raise NotImplementedError
 
+    def final_stage(self, volume: Any) -> FinalStage | None:
+        """What is trained last, within the budget; None for nothing. The volume is one of :meth:`volume`."""
+        return None
+
     def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
         """Trains for the budget's seconds, or the preset's steps without them."""
         self._train(None, capture, budget, progress)
@@ -145,7 +146,8 @@ class VolumeMethod:
             raise InputError(f"{Path(folder) / FILE_NAME}: preset", "options of another version",
                              "those of " + " or ".join(self.presets), "Train it again.")
         volume = self._place(capture, tensors.get("offsets"))
-        for name, value in volume.initial(np.random.default_rng(0)).items():
+        final, rng = self.final_stage(volume), np.random.default_rng(0)
+        for name, value in {**volume.initial(rng), **({} if final is None else final.initial(rng))}.items():
             expect_shape(f"{Path(folder) / TENSORS}: {name}", tensors.get(name), value.shape)
         self._take(capture, volume, record, tensors)
 
@@ -184,33 +186,31 @@ class VolumeMethod:
     def _train(self, folder: Path | None, capture: Capture, budget: Budget,
                progress: Progress | None) -> None:
         record, preset = self._record_of(capture, budget), self.preset
-        state = None if folder is None else _read_checkpoint(folder / STATE, record)
-        if state is None:
+        file = None if folder is None else folder / STATE
+        training = None if file is None else Training.resumed(file, record)
+        if training is None:
             options = TrainingOptions(surface=preset.surface, seconds=budget.seconds or 0.0, seed=budget.seed)
             surface = reference(capture, options)
-            offsets, record.surface_seconds = surface.tensors.get("offsets"), surface.seconds
-        else:
-            offsets, record.surface_seconds = state[0].get("offsets"), float(state[1]["surface_seconds"])
-        volume = self._place(capture, offsets)
-        objective = RayObjective(capture, volume, preset.rays)
-        optimisation = Optimisation(
-            volume.initial(np.random.default_rng([budget.seed, 0])), objective, preset.schedule,
-            budget.seconds, budget.seed, volume.rates, record.surface_seconds)
-        if state is not None:
-            optimisation.restore(*state, str(folder))
-        kept = {} if offsets is None else {"offsets": offsets}
-
-        def checkpoint() -> None:
-            if folder is not None:
-                write_state(folder / STATE, {**kept, **optimisation.tensors()},
-                            {**optimisation.metadata(), "surface_seconds": record.surface_seconds,
-                             "record": msgspec.to_builtins(self._record_of(capture, budget))})
-
-        train(optimisation, progress, checkpoint)
-        record.seconds, record.steps = round(optimisation.seconds, 3), optimisation.steps
-        record.refused, record.history = optimisation.steps_refused, optimisation.history
-        found = {name: value.numpy() for name, value in optimisation.parameters.items()}
-        self._take(capture, volume, record, {**kept, **found})
+            offsets = {name: surface.tensors[name] for name in ("offsets",) if name in surface.tensors}
+            record.surface_seconds = record.seconds = surface.seconds
+            training = Training(record, offsets, file)
+        volume = self._place(capture, training.tensors.get("offsets"))
+        final, record, seconds = self.final_stage(volume), training.record, budget.seconds
+        on_rays = training.run(
+            0, volume.initial(np.random.default_rng([budget.seed, 0])),
+            RayObjective(capture, volume, preset.rays), preset.schedule,
+            seconds if seconds is None or final is None else (1 - final.share) * seconds,
+            volume.rates, progress)
+        if on_rays is not None:
+            record.steps, record.history = on_rays.steps, on_rays.history
+        if final is not None:
+            parameters = {name: mi.Float(value) for name, value in training.tensors.items()
+                          if name != "offsets"}
+            last = training.run(1, final.initial(np.random.default_rng([budget.seed, 2])),
+                                final.objective(parameters), final.schedule, seconds)
+            assert last is not None
+            record.more = {"note": final.note, "final_steps": last.steps, "final_loss": last.error}
+        self._take(capture, volume, record, training.tensors)
 
     def _record_of(self, capture: Capture, budget: Budget) -> VolumeRecord:
         """The record of a training that has not begun."""
@@ -228,39 +228,3 @@ class VolumeMethod:
         self._record, self._tensors = record, tensors
         self.parameters = {name: mi.Float(value) for name, value in tensors.items() if name != "offsets"}
 
-
-def train(optimisation: Optimisation, progress: Progress | None, checkpoint: Callable[[], None]) -> None:
-    """Trains to the end, or until SIGINT or SIGTERM.
-
-    Args:
-        optimisation: new or restored.
-        progress: called after each step that is taken.
-        checkpoint: called about once a minute, and when a signal has arrived.
-
-    Raises:
-        KeyboardInterrupt: a signal arrived.
-        InputError: too many steps were refused.
-    """
-    saved = time.perf_counter()
-    with Signals() as signals:
-        while optimisation.done < 1 and not signals.received:
-            taken = optimisation.steps
-            optimisation.step()
-            if progress is not None and optimisation.steps > taken:
-                progress(optimisation.seconds, optimisation.steps, optimisation.error)
-            if time.perf_counter() - saved > CHECKPOINT_SECONDS:
-                checkpoint()
-                saved = time.perf_counter()
-    if signals.received:
-        checkpoint()
-        raise KeyboardInterrupt
-
-
-def _read_checkpoint(file: Path, record: VolumeRecord) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
-    """The state of a stopped training like `record`'s; None if there is none."""
-    try:
-        tensors, metadata = read_state(file)
-        known = msgspec.convert(metadata["record"], VolumeRecord)
-    except (InputError, KeyError, msgspec.ValidationError):
-        return None
-    return (tensors, metadata) if known.same_training(record) else None

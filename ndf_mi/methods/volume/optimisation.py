@@ -20,7 +20,8 @@ from ndf_mi.methods.volume.volume import Parameters
 LOG_EVERY = 25
 """Steps between two points of the training curve."""
 _SMOOTHING = 0.95
-_PREFIX = "adam"
+PREFIX = "adam"
+"""Of the names of values and moments in a checkpoint."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,10 @@ class Optimisation:
         initial: flat float32 tensors by name.
         objective: the loss.
         schedule: rates and length.
-        seconds: wall-clock seconds to train for; None takes the schedule's steps.
+        seconds: wall-clock seconds to train for, those spent included; None takes the schedule's steps.
         seed: of the objective's random numbers.
         rates: factors on the learning rate by name; 1 where there is none.
-        spent: seconds that count as training and went before.
+        spent: seconds that count as training and went before; rates decay over the rest of the budget.
 
     Attributes:
         steps: taken so far.
@@ -84,7 +85,7 @@ class Optimisation:
                  spent: float = 0.0) -> None:
         self.schedule = schedule
         self._objective = objective
-        self._budget = seconds
+        self._budget, self._spent = seconds, spent
         self._rng = np.random.default_rng([seed, 1])
         self._factors = {name: (rates or {}).get(name, 1.0) for name in initial}
         self._adam = mi.ad.Adam(lr=schedule.learning_rate,
@@ -98,7 +99,9 @@ class Optimisation:
         """Share of the training that is done, in [0, 1]. At least one step is taken."""
         if self._budget is None:
             return min(1.0, self.steps / self.schedule.steps)
-        return min(1.0, self.seconds / self._budget) if self.steps else 0.0
+        if not self.steps or self.seconds >= self._budget:
+            return float(self.steps > 0)
+        return (self.seconds - self._spent) / (self._budget - self._spent)
 
     @property
     def steps_refused(self) -> int:
@@ -142,7 +145,7 @@ class Optimisation:
 
     def tensors(self) -> dict[str, np.ndarray]:
         """Parameters and moments, for a checkpoint."""
-        return adam_tensors(self._adam, _PREFIX)
+        return adam_tensors(self._adam, PREFIX)
 
     def metadata(self) -> dict[str, Any]:
         """The rest of the state as JSON values."""
@@ -159,7 +162,7 @@ class Optimisation:
         Raises:
             InputError: a tensor or an entry is missing or does not fit; the message begins with `where`.
         """
-        restore_adam(self._adam, _PREFIX, tensors, where)
+        restore_adam(self._adam, PREFIX, tensors, where)
         try:
             self._rng.bit_generator.state = metadata["random"]
             self.steps, self.seconds = int(metadata["steps"]), float(metadata["seconds"])

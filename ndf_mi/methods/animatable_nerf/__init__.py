@@ -1,0 +1,2 @@
+"""Animatable NeRF (Peng et al. 2021, *Animatable Neural Radiance Fields for Modeling Dynamic Human
+Bodies*)."""
