@@ -74,6 +74,7 @@ _ENTRIES = {
     "offset-mesh": Entry("offset-mesh", "ndf_mi.methods.offset_mesh:OffsetMesh"),
     "neural-body": Entry("neural-body", "ndf_mi.methods.neural_body.method:NeuralBody"),
     "animatable-nerf": Entry("animatable-nerf", "ndf_mi.methods.animatable_nerf.method:AnimatableNerf"),
+    "gaussians": Entry("gaussians", "ndf_mi.methods.gaussians.method:Gaussians"),
     "images": Entry("images", "ndf_mi.methods.images:Images", trains=False),
 }
 

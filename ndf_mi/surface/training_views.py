@@ -82,11 +82,12 @@ class TrainingViews:
         frame = self._frames[self._order.pop()]
         count = min(CAMERAS_A_STEP, len(self._cameras))
         chosen = np.sort(self._random.permutation(len(self._cameras))[:count])
-        views = []
-        for index in chosen:
-            rectangle, image = self._views[int(index), frame]
-            views.append((self._cameras[index], rectangle, image.astype(np.float32) / np.float32(255)))
-        return frame, views
+        return frame, [self.view(int(index), frame) for index in chosen]
+
+    def view(self, camera: int, frame: int) -> View:
+        """What the camera with this index in the split sees at one of the frames."""
+        rectangle, image = self._views[camera, frame]
+        return self._cameras[camera], rectangle, image.astype(np.float32) / np.float32(255)
 
     def coverage(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 2) float32 in the view's rectangle: 1 on the performer's mask; 1 where the mask is valid.

@@ -143,6 +143,13 @@ class Optimisation:
         if taken and (self.steps % LOG_EVERY == 0 or self.done >= 1):
             self.history.append((self.steps, round(self.seconds, 3), self.error))
 
+    def exchange(self, values: Mapping[str, np.ndarray]) -> None:
+        """Replaces tensors by others of any size, by name; Adam begins again for all of them."""
+        kept = {name: value.numpy() for name, value in self.parameters.items()}
+        self._adam = mi.ad.Adam(lr=self.schedule.learning_rate, params={
+            name: mi.Float(value) for name, value in {**kept, **values}.items()})
+        self._guard.watch([self._adam])
+
     def tensors(self) -> dict[str, np.ndarray]:
         """Parameters and moments, for a checkpoint."""
         return adam_tensors(self._adam, PREFIX)

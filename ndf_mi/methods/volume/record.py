@@ -14,6 +14,7 @@ from safetensors.numpy import load_file, save
 from ndf_mi import files
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
+from ndf_mi.learn.state import read_state
 
 VERSION = 1
 FILE_NAME = "volume.json"
@@ -109,6 +110,16 @@ def read_volume(folder: str | os.PathLike[str], method: str, capture: Capture
     if "offsets" in tensors:
         expect_shape(f"{file}: offsets", tensors["offsets"], capture.poses.vertices.shape[1:])
     return record, tensors
+
+
+def read_checkpoint(file: Path, record: VolumeRecord) -> tuple[Tensors, dict[str, Any]] | None:
+    """Tensors and metadata, with a `record`, of a stopped training like `record`'s; None if there is none."""
+    try:
+        tensors, metadata = read_state(file)
+        known = msgspec.convert(metadata["record"], VolumeRecord)
+    except (InputError, KeyError, msgspec.ValidationError):
+        return None
+    return (tensors, metadata) if known.same_training(record) else None
 
 
 def expect_shape(where: str, found: np.ndarray | None, shape: tuple[int, ...]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,12 +11,11 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
-from ndf_mi.errors import InputError
 from ndf_mi.learn.signals import Signals
-from ndf_mi.learn.state import read_state, write_state
+from ndf_mi.learn.state import write_state
 from ndf_mi.methods.base import Progress
 from ndf_mi.methods.volume.optimisation import PREFIX, Objective, Optimisation, Schedule
-from ndf_mi.methods.volume.record import Tensors, VolumeRecord
+from ndf_mi.methods.volume.record import Tensors, VolumeRecord, read_checkpoint
 from ndf_mi.methods.volume.volume import Parameters
 
 CHECKPOINT_SECONDS = 60.0
@@ -63,16 +62,13 @@ class Training:
     @classmethod
     def resumed(cls, file: Path, record: VolumeRecord) -> Training | None:
         """The stopped training like `record`'s that a file holds; None if there is none."""
-        try:
-            tensors, metadata = read_state(file)
-            known = msgspec.convert(metadata["record"], VolumeRecord)
-            stage = int(metadata["stage"])
-        except (InputError, KeyError, TypeError, ValueError):
+        found = read_checkpoint(file, record)
+        if found is None:
             return None
-        if not known.same_training(record):
-            return None
+        tensors, metadata = found
         kept = {name: value for name, value in tensors.items() if not name.startswith(f"{PREFIX}.")}
-        return cls(known, kept, file, (stage, tensors, metadata))
+        return cls(msgspec.convert(metadata["record"], VolumeRecord), kept, file,
+                   (int(metadata["stage"]), tensors, metadata))
 
     def run(self, stage: int, initial: Mapping[str, np.ndarray], objective: Objective, schedule: Schedule,
             until: float | None, rates: Mapping[str, float] | None = None,
@@ -98,19 +94,7 @@ class Training:
         optimisation = Optimisation(initial, objective, schedule, until, record.seed, rates, record.seconds)
         if self._stopped is not None and stage == self._stopped[0]:
             optimisation.restore(self._stopped[1], self._stopped[2], str(self.file))
-        saved = time.perf_counter()
-        with Signals() as signals:
-            while optimisation.done < 1 and not signals.received:
-                taken = optimisation.steps
-                optimisation.step()
-                if progress is not None and optimisation.steps > taken:
-                    progress(optimisation.seconds, optimisation.steps, optimisation.error)
-                if time.perf_counter() - saved > CHECKPOINT_SECONDS:
-                    self._checkpoint(stage, optimisation)
-                    saved = time.perf_counter()
-        if signals.received:
-            self._checkpoint(stage, optimisation)
-            raise KeyboardInterrupt
+        train(optimisation, progress, lambda: self._checkpoint(stage, optimisation))
         self.tensors |= {name: value.numpy() for name, value in optimisation.parameters.items()}
         record.seconds = round(optimisation.seconds, 3)
         record.refused += optimisation.steps_refused
@@ -121,3 +105,30 @@ class Training:
             metadata = {**optimisation.metadata(), "stage": stage,
                         "record": msgspec.to_builtins(self.record)}
             write_state(self.file, {**self.tensors, **optimisation.tensors()}, metadata)
+
+
+def train(optimisation: Optimisation, progress: Progress | None, checkpoint: Callable[[], None]) -> None:
+    """Trains to the end, or until SIGINT or SIGTERM.
+
+    Args:
+        optimisation: new or restored.
+        progress: called after each step that is taken.
+        checkpoint: called about once a minute, and when a signal has arrived.
+
+    Raises:
+        KeyboardInterrupt: a signal arrived.
+        InputError: too many steps were refused.
+    """
+    saved = time.perf_counter()
+    with Signals() as signals:
+        while optimisation.done < 1 and not signals.received:
+            taken = optimisation.steps
+            optimisation.step()
+            if progress is not None and optimisation.steps > taken:
+                progress(optimisation.seconds, optimisation.steps, optimisation.error)
+            if time.perf_counter() - saved > CHECKPOINT_SECONDS:
+                checkpoint()
+                saved = time.perf_counter()
+    if signals.received:
+        checkpoint()
+        raise KeyboardInterrupt

@@ -1,0 +1,1 @@
+"""Gaussian primitives on the body."""
