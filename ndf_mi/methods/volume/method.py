@@ -23,6 +23,7 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.prepare import reference
 from ndf_mi.methods.base import Budget, Progress
 from ndf_mi.methods.volume.chunks import Chunked
+from ndf_mi.methods.volume.medium import boxed
 from ndf_mi.methods.volume.optimisation import Schedule
 from ndf_mi.methods.volume.rays import RayObjective, RaySettings
 from ndf_mi.methods.volume.record import (
@@ -160,6 +161,12 @@ class VolumeMethod:
         with dr.suspend_grad():
             posed = self._volume.at(frame, self.parameters)
             return self._renderer(Chunked(posed), camera).over(self._background)
+
+    def shape(self, frame: int) -> dict[str, Any]:
+        """The performer at `frame` as a shape of a scene for `mi.load_dict`, where the integrators `ndf_path`
+        and `ndf_quadrature` show it. Its parameters are not exposed."""
+        return boxed(Chunked(self._volume.at(frame, self.parameters)), f"{self.key}-{self.cache_key()[:12]}",
+                     frame)
 
     def metadata(self) -> dict[str, Any]:
         """The members of the record, and keys that `methods.base` lists."""

@@ -8,10 +8,12 @@ import os
 import signal
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 
 from ndf_mi.capture.capture import Capture
+from ndf_mi.colour import linear_to_srgb, srgb_to_linear
 from ndf_mi.errors import InputError
 from ndf_mi.methods.animatable_nerf.architecture import FAST
 from ndf_mi.methods.animatable_nerf.method import AnimatableNerf
@@ -65,6 +67,30 @@ def test_saved_and_loaded_it_renders_the_same(limb_capture, trained, tmp_path) -
     camera = limb_capture.cameras["n0"]
     np.testing.assert_array_equal(loaded.render(camera, 5), trained.render(camera, 5))
     assert loaded.metadata() == trained.metadata() and loaded.cache_key() == trained.cache_key()
+
+
+@pytest.mark.parametrize("integrator", ["ndf_quadrature", "ndf_path"])
+def test_in_a_scene_it_looks_as_in_the_method_s_images(limb_capture, trained, integrator) -> None:
+    camera = limb_capture.cameras["n0"]
+    behind = srgb_to_linear(limb_capture.background.astype(np.float64)).tolist()
+    scene = mi.load_dict({
+        "type": "scene", "performer": trained.shape(6), "sensor": camera.sensor(spp=1, sampler="independent"),
+        "integrator": {"type": integrator, "samples": 32},
+        "light": {"type": "constant", "radiance": {"type": "rgb", "value": behind}}})
+    image = linear_to_srgb(mi.render(scene, spp=16).numpy()[..., :3])
+    expected = trained.render(camera, 6)
+    # Rays pass through pixels at random instead of through their centres.
+    assert np.abs(expected - limb_capture.background).max() > 0.2
+    assert np.sqrt(np.square(image - expected).mean()) < 0.02
+
+
+def test_it_is_not_scattered(limb_capture, trained) -> None:
+    scene = mi.load_dict({
+        "type": "scene", "performer": trained.shape(6), "light": {"type": "constant"},
+        "sensor": limb_capture.cameras["n0"].sensor(spp=1, sampler="independent"),
+        "integrator": {"type": "volpath"}})
+    with pytest.raises(InputError, match="ndf_path"):
+        scene.integrator().render(scene, sensor=scene.sensors()[0], spp=1)
 
 
 @pytest.mark.parametrize("stop", [41, 71])
