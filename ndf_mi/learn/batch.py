@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import mitsuba as mi
@@ -93,7 +93,8 @@ class BatchSampler:
         options: sampling.
         sample_factor: of the preset.
         poses: of the reference surface. Pixels are drawn from the box around it and the capture's body.
-        held_back: views that are never drawn: indices of their frames and cameras in the split.
+        held_back: views that are not drawn before `release`: indices of their frames and cameras in the
+            split.
         band: metres around the reference surface where the field may be non-zero.
 
     Raises:
@@ -116,11 +117,11 @@ class BatchSampler:
         self._views: dict[tuple[int, int], _View] = {}
         for row, frame in enumerate(self._frames):
             low, high = drawing_box(capture, poses, frame, options.box_padding)
-            columns = [c for c in range(len(self._cameras)) if (row, c) not in held_back]
+            columns = range(len(self._cameras))
             images = [capture.image(split.cameras[column], frame) for column in columns]
             mattes = [capture.matte(split.cameras[column], frame) for column in columns]
             weights = [np.ones_like(matte) for matte in mattes]
-            if trust is not None and columns:
+            if trust is not None:
                 weights = trust(frame, poses.vertices[poses.index(frame)],
                                 [self._cameras[column] for column in columns], images, mattes)
             for column, image, matte, weight in zip(columns, images, mattes, weights, strict=True):
@@ -136,8 +137,15 @@ class BatchSampler:
                 self._views[row, column] = _View(
                     _bytes(image).reshape(-1, 3), _bytes(matte).ravel(), _bytes(valid * weight).ravel(),
                     np.flatnonzero(mask & allowed).astype(np.uint32), np.flatnonzero(box).astype(np.uint32))
+        self._draw_from(view for view in self._views if view not in held_back)
+
+    def release(self) -> None:
+        """Draws from the views that were held back as well."""
+        self._draw_from(self._views)
+
+    def _draw_from(self, views: Iterable[tuple[int, int]]) -> None:
         self._columns: dict[int, list[int]] = {}
-        for row, column in self._views:
+        for row, column in views:
             self._columns.setdefault(row, []).append(column)
 
     def __call__(self, rng: np.random.Generator, edge_active: bool = False,

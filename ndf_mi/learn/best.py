@@ -18,7 +18,8 @@ class Best:
         error: their mean squared error in sRGB on the held-back rays.
         last: that of the parameters measured last.
         last_step, last_done: steps taken, and share of the training done, when these were measured.
-        parameters: those kept, detached, by optimiser and key; empty before the first.
+        parameters: those kept, detached, by optimiser and key; empty before the first, and once released.
+        released: whether nothing is kept any more, since the rays are trained on.
     """
 
     def __init__(self) -> None:
@@ -26,6 +27,11 @@ class Best:
         self.error = self.last = float("nan")
         self.last_done = 0.0
         self.parameters: dict[str, dict[str, Any]] = {}
+        self.released = False
+
+    def release(self) -> None:
+        """Keeps nothing from now on: the rays will be trained on, and say nothing more."""
+        self.step, self.error, self.parameters, self.released = 0, float("nan"), {}, True
 
     def observe(self, step: int, done: float, error: float, optimisers: dict[str, Any]) -> None:
         """Keeps the optimisers' parameters if their error is the least so far.
@@ -51,7 +57,7 @@ class Best:
     def metadata(self) -> dict[str, Any]:
         """The other attributes as JSON values."""
         return {"step": self.step, "error": _json(self.error), "last": _json(self.last),
-                "last_step": self.last_step, "last_done": self.last_done}
+                "last_step": self.last_step, "last_done": self.last_done, "released": self.released}
 
     def restore(self, tensors: dict[str, np.ndarray], metadata: dict[str, Any],
                 optimisers: dict[str, Any], where: str) -> None:
@@ -63,6 +69,7 @@ class Best:
         """
         self.step, self.last_step = int(metadata["step"]), int(metadata["last_step"])
         self.last_done = float(metadata["last_done"])
+        self.released = bool(metadata.get("released", False))  # Older files lack it.
         self.error, self.last = _number(metadata["error"]), _number(metadata["last"])
         self.parameters = {}
         if self.step == 0:

@@ -184,6 +184,8 @@ def _finish(trainer: Trainer) -> None:
     run.config["trained"] = {"steps": now.step, "seconds": now.seconds, "done": trainer.done >= 1}
     if now.kept_step is not None and now.kept_psnr is not None:
         run.config["trained"]["kept"] = {"step": now.kept_step, "held_back_psnr": round(now.kept_psnr, 4)}
+    if now.released:
+        run.config["trained"]["all_views_from"] = now.held_back_step
     files.write_json(run.path / "config.json", run.config)
 
 

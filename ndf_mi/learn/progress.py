@@ -23,8 +23,10 @@ class Progress:
             before that, and if none are held back.
         held_back_step: steps taken then.
         kept_step: steps after which that error was least: what is published. None before the first
-            measurement, and if no rays are held back: then the last parameters are published.
+            measurement, and if no rays are held back or those that were are now trained on: then the last
+            parameters are published.
         kept_error: the error then, or NaN.
+        released: whether rays that were held back are now trained on, from `held_back_step` on.
     """
 
     step: int
@@ -38,6 +40,7 @@ class Progress:
     held_back_step: int = 0
     kept_step: int | None = None
     kept_error: float = float("nan")
+    released: bool = False
 
     @property
     def psnr(self) -> float:

@@ -20,7 +20,7 @@ from ndf_mi.learn.batch import Batch, BatchSampler
 from ndf_mi.learn.best import Best
 from ndf_mi.learn.corrections import GROUPS, Corrections
 from ndf_mi.learn.guard import Guard
-from ndf_mi.learn.held_back import EVERY, SHARE, HeldBackRays, choose_views
+from ndf_mi.learn.held_back import EVERY, RELEASE, SHARE, TOLERANCE, HeldBackRays, choose_views
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.progress import Progress
 from ndf_mi.learn.refined import registered_capture
@@ -76,9 +76,9 @@ class Trainer:
         # Quadrature would measure something else than what steps through scattering improve.
         share = options.held_back if options.integrator == QUADRATURE else 0.0
         held_back = choose_views(len(split.frames), len(split.cameras), share, options.seed)
-        self.batches: Callable[[np.random.Generator, bool, bool], Batch] = BatchSampler(
-            capture, options, run.model.field.preset.sample_factor, self.refinement.poses, held_back,
-            run.model.field.preset.band)
+        self._sampler = BatchSampler(capture, options, run.model.field.preset.sample_factor,
+                                     self.refinement.poses, held_back, run.model.field.preset.band)
+        self.batches: Callable[[np.random.Generator, bool, bool], Batch] = self._sampler
         self._held_back = (HeldBackRays(run, capture, options, held_back, self.refinement.poses)
                            if held_back else None)
         self._best = Best()
@@ -104,7 +104,7 @@ class Trainer:
         best = self._best
         return Progress(self._taken, self._seconds, self._error, self._box_error, self._evaluated,
                         self._guard.steps_refused, self._guard.rate_factor, best.last, best.last_step,
-                        best.step if best.parameters else None, best.error)
+                        best.step if best.parameters else None, best.error, best.released)
 
     @property
     def done(self) -> float:
@@ -215,6 +215,8 @@ class Trainer:
             self._guard.snapshot()
             if "best" in metadata:
                 self._best.restore(tensors, metadata["best"], self.optimisers, str(path))
+                if self._best.released:
+                    self._release()
             if self._occupancy is not None:
                 self._occupancy.restore(tensors["occupancy"], self._taken)
         except (KeyError, TypeError, ValueError) as error:
@@ -284,7 +286,15 @@ class Trainer:
             image_error = partial(self._quadrature.image_error, corrections=self.corrections)
             error = self._held_back.error(image_error, self.parameters)
             self._best.observe(self._taken, done, error, self.optimisers)
+            if RELEASE <= done < 1 and error <= TOLERANCE * self._best.error:
+                self._best.release()
+                self._release()
             self._seconds += time.perf_counter() - started
+
+    def _release(self) -> None:
+        """Trains on the held-back views as well."""
+        self._held_back = None
+        self._sampler.release()
 
     def _set_rates(self) -> float:
         """Sets the optimisers' learning rates; returns the largest one."""

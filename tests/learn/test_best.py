@@ -22,7 +22,15 @@ def rows_of(run):
     return [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
 
 
-def test_the_best_is_published_when_training_diverges_afterwards(capture, tmp_path):
+def views_drawn(trainer, steps=40):
+    """(frame, camera) of the rays that the trainer's sampler draws."""
+    rng = np.random.default_rng(0)
+    batches = [trainer.batches(rng, False, False) for _ in range(steps)]
+    return {(batch.frame, int(camera)) for batch in batches for camera in set(batch.camera)}
+
+
+def test_the_best_is_published_when_training_diverges_afterwards(capture, tmp_path, monkeypatch):
+    monkeypatch.setattr("ndf_mi.learn.trainer.RELEASE", 1.0)
     trainer = start(tmp_path / "run", capture, TINY, OPTIONS)
     draw = trainer.batches
 
@@ -60,6 +68,36 @@ def test_the_best_survives_a_checkpoint(capture, tmp_path):
     for name, values in trainer.parameters.arrays().items():
         np.testing.assert_array_equal(again.parameters.arrays()[name], values)
         assert (again.run.parameters.arrays()[name] != values).any()
+
+
+def test_views_are_trained_on_at_last_if_training_does_no_harm(capture, tmp_path):
+    """At two thirds, where the error is the least so far; a checkpoint remembers it."""
+    trainer = start(tmp_path / "run", capture, TINY, OPTIONS)
+    while trainer.progress.step < 99:
+        trainer.step()
+    assert len(views_drawn(trainer)) == 6 and trainer.progress.kept_step == 50
+    trainer.step()
+    assert len(views_drawn(trainer)) == 8
+    now = trainer.progress
+    assert now.kept_step is None and now.held_back_step == 100 and now.held_back_psnr is not None
+    trainer.save()
+    again = resume(tmp_path / "run", capture)
+    assert again.progress.released and len(views_drawn(again)) == 8
+    train(again, quiet=True)
+    assert again.progress.held_back_step == 100
+    run = Run.load(tmp_path / "run")
+    assert run.config["trained"]["all_views_from"] == 100 and "kept" not in run.config["trained"]
+    np.testing.assert_array_equal(run.parameters.arrays()["weights"], again.parameters.arrays()["weights"])
+
+
+def test_views_stay_held_back_where_training_does_harm(capture, tmp_path):
+    trainer = start(tmp_path / "run", capture, TINY, OPTIONS)
+    while trainer.progress.step < 50:
+        trainer.step()
+    trainer._best.error /= 100
+    while trainer.done < 1:
+        trainer.step()
+    assert trainer.progress.kept_step == 50 and len(views_drawn(trainer)) == 6
 
 
 def test_refused_steps_leave_the_best_alone(capture, tmp_path, poison):
