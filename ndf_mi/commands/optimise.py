@@ -184,8 +184,8 @@ def _kept(trainer: Trainer) -> str:
         return (f"{best} at step {now.kept_step}, whose field is kept; {now.held_back_psnr:.2f} dB at step "
                 f"{now.held_back_step}")
     if now.released:
-        return (f"the last step's field is kept: held-back training views were at {now.held_back_psnr:.2f} dB "
-                f"at step {now.held_back_step} and not getting worse, and were trained on from there")
+        return (f"the last step's field is kept: held-back training views were at {now.held_back_psnr:.2f} "
+                f"dB at step {now.held_back_step} and not getting worse, and were trained on from there")
     reason = ("held_back=0" if options.held_back == 0 else
               "no views are held back through scattering" if options.integrator != QUADRATURE else
               f"held_back={options.held_back:g} of the training views is less than half a view")

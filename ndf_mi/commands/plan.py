@@ -79,14 +79,15 @@ def status() -> Iterator[Callable[[str], None]]:
 
 def described(surface: Reference) -> str:
     """The reference surface as text."""
-    from ndf_mi.learn.prepare import record
+    from ndf_mi.learn.prepare import SLACK, record
 
     found = record(surface).get("surface")
     if found is None:
         return "reference surface: the capture's body"
     return (f"reference surface: the body with offsets of {found['offset_median_mm']:.0f} mm (median) to "
-            f"{found['offset_max_mm']:.0f} mm, made in {found['seconds']:.0f} s; its silhouettes and the "
-            f"masks overlap by {found['agreement']:.2f} (intersection over union)")
+            f"{found['offset_max_mm']:.0f} mm, made in {found['seconds']:.0f} s; before the offsets were "
+            f"shortened by {1e3 * SLACK:.0f} mm, its silhouettes and the masks overlapped by "
+            f"{found['agreement']:.2f} (intersection over union)")
 
 
 def planned(capture: Capture, surface: Reference, settings: PlanSettings) -> Planned:

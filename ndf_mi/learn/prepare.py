@@ -24,6 +24,16 @@ from ndf_mi.surface.reference import fit_reference
 SHARE, LONGEST = 0.1, 60.0
 """The surface's share of a training that ends by the clock, and its longest time in seconds."""
 
+SLACK = 0.03
+"""Metres by which the surface's offsets are shortened: what is within reach of every band needs no offset,
+and offsets bend in poses that were not seen.
+"""
+
+UNSEEN = 0.05
+"""Metres that the performer may stand off the surface where no outline shows it: a little more than what
+`SLACK` takes off.
+"""
+
 Show = Callable[[str], None]
 """Called with what is done now, in a few words."""
 
@@ -36,7 +46,8 @@ class Reference:
         body, poses: the surface at rest and in every frame.
         tensors: what the run keeps of it, as in `Run.surface_tensors`.
         residual: (V,) metres by which the surface may be off, or None where nothing was fitted.
-        agreement: mean intersection over union of its silhouettes and the masks, or None.
+        agreement: mean intersection over union of the masks and the fitted surface's silhouettes, before
+            `SLACK` was taken off; or None.
         seconds: what it took.
     """
 
@@ -97,7 +108,8 @@ def reference(capture: Capture, options: TrainingOptions, show: Show = lambda te
         return Reference(body, capture.poses, registered.tensors, seconds=time.perf_counter() - started)
     show("fitting the reference surface")
     fitted = fit_reference(capture, budget, options.seed,
-                           lambda seconds, step, done: show(f"fitting the reference surface: {done:.0%}"))
+                           lambda seconds, step, done: show(f"fitting the reference surface: {done:.0%}"),
+                           SLACK)
     return Reference(fitted.body, fitted.poses, {"offsets": fitted.offsets, **registered.tensors},
                      fitted.residual, fitted.agreement, time.perf_counter() - started)
 
@@ -111,7 +123,7 @@ def planned(capture: Capture, surface: Reference, settings: PlanSettings = PlanS
     """
     started = time.perf_counter()
     found = plan(surface.seen_by(capture), settings, lambda step: show(f"planning the model: {step}"),
-                 surface.residual)
+                 surface.residual, 0.0 if surface.kind == "body" else UNSEEN)
     return Planned(replace(found, surface=surface.kind), time.perf_counter() - started)
 
 

@@ -106,14 +106,16 @@ def about_pose(moved: float, frame: Estimate, within: Estimate, detail: Detail, 
 
 
 def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Preset,
-               local: np.ndarray | None = None) -> Finding:
+               local: np.ndarray | None = None, least: float = 0.0) -> Finding:
     """How far does the performer stand off the reference surface, the body of the capture that is planned?
 
     Args:
         local: (V, 2) metres that each vertex needs outside and inside.
+        least: metres that the performer may stand off where no mask shows it.
     """
     allowed = settings.allowed_error * found.pixels
-    outside, inside = found.outside.reach(allowed), found.inside.reach(allowed)
+    shown, inside = found.outside.reach(allowed), found.inside.reach(allowed)
+    outside = max(shown, least)
     # Pixels blur outlines by half their width to either side, and the field must reproduce that along their
     # rays. Without room for it, tight clothes under pixels of 24 mm lost 0.9 dB outside and 0.3 to 0.5 dB
     # inside.
@@ -123,17 +125,19 @@ def about_band(found: Standoff, detail: Detail, settings: PlanSettings, full: Pr
     # A band is at most as deep as it is wide. Occluders and badly fitted bodies are no reason to widen it.
     deep = min(deep, full.band)
     driven, band = _ceil(deep / USABLE) > band, max(band, _ceil(deep / USABLE))
-    evidence = (f"masks reach {1e3 * outside:.0f} mm beyond the surface and the surface "
+    evidence = (f"masks reach {1e3 * shown:.0f} mm beyond the surface and the surface "
                 f"{1e3 * inside:.0f} mm beyond the masks, ignoring what costs less than {settings.worth:g} "
                 f"dB; a pixel spans {1e3 * detail.footprint:.0f} mm, and its blur reaches half of that "
                 "further")
+    if outside > shown:
+        evidence += f"; where masks do not show the surface it may be {1e3 * least:.0f} mm off"
     if outside >= REACH:
         evidence += f"; distances above {1e3 * REACH:.0f} mm were not measured"
     if driven:
         evidence += "; the band's outer part follows from its inner one"
     before, after = full.band + full.band_inside, band + deep
     follows = f"a band from {1e3 * deep:.0f} mm inside to {1e3 * band:.0f} mm outside the surface"
-    figures: dict[str, float | None] = {"outside_mm": 1e3 * outside, "inside_mm": 1e3 * inside}
+    figures: dict[str, float | None] = {"outside_mm": 1e3 * shown, "inside_mm": 1e3 * inside}
     if local is not None:
         wide, depth = np.median(np.minimum(local, [band, deep]), axis=0)
         follows += (f"; half of the vertices would need no more than from {1e3 * depth:.0f} mm to "

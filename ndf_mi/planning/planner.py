@@ -28,7 +28,8 @@ def full_model() -> Preset:
 
 
 def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B008
-         progress: Callable[[str], None] = lambda step: None, residual: np.ndarray | None = None) -> Plan:
+         progress: Callable[[str], None] = lambda step: None, residual: np.ndarray | None = None,
+         least: float = 0.0) -> Plan:
     """The plan for a capture, from its training cameras and frames alone.
 
     Args:
@@ -36,6 +37,7 @@ def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B00
         settings: how much a part must be worth, and how many images are read.
         progress: called with each of :data:`STEPS` when it begins.
         residual: (V,) metres by which the surface is known to be off at each vertex.
+        least: metres that the performer may stand off the surface where no mask shows it.
 
     Raises:
         InputError: an image cannot be read, or none shows the body within the mask.
@@ -60,7 +62,7 @@ def plan(capture: Capture, settings: PlanSettings = PlanSettings(),  # noqa: B00
     disagreement = standoff(capture, frames, views)
     local = place_bands(rest, body.faces, disagreement, settings.allowed_error, measured.footprint / 2, full,
                         residual)
-    band = about.about_band(disagreement, measured, settings, full, local)
+    band = about.about_band(disagreement, measured, settings, full, local, least)
     progress("detail")
     fine = about.about_detail(measured, settings, full)
     scattering = about.about_scattering(None if capture.lighting is None else capture.lighting.name)

@@ -142,6 +142,13 @@ class OutlineFit:
             pinned[self._faces[bad]] = True
         self.offsets = repair(self._rest.vertices, moved, self._faces, self.offsets)
 
+    def shorten(self, length: float) -> None:
+        """Shortens each offset by this length in metres, or to zero. No two come to lie further apart, so
+        that the surface stays as smooth as it was."""
+        norm = np.linalg.norm(self.offsets, axis=1, keepdims=True)
+        shorter = self.offsets * np.maximum(0, 1 - length / np.maximum(norm, 1e-12))
+        self.offsets = repair(self._rest.vertices, shorter, self._faces)
+
     def follow(self, rest: RestFrames) -> None:
         """Goes on with the same offsets around other poses or another shape of the same body."""
         self._rest = rest

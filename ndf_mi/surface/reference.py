@@ -61,7 +61,8 @@ class ReferenceSurface:
         residual: (V,) float32 metres, the root mean square distance in the training views between the
             masks' outlines and the surface's where the vertex is on the outline; smoothed over the surface,
             and interpolated where no view shows the vertex there.
-        agreement: mean intersection over union of the masks and the surface's silhouettes in training views.
+        agreement: mean intersection over union of the masks and the fitted surface's silhouettes in training
+            views, before offsets are shortened.
         seconds: wall-clock seconds of the fit.
         steps: steps of the fit.
     """
@@ -76,7 +77,7 @@ class ReferenceSurface:
 
 
 def fit_reference(capture: Capture, budget: float | None = None, seed: int = 0,
-                  progress: Progress | None = None) -> ReferenceSurface:
+                  progress: Progress | None = None, slack: float = 0.0) -> ReferenceSurface:
     """Fits vertex offsets to the capture's `train` split.
 
     Args:
@@ -86,6 +87,7 @@ def fit_reference(capture: Capture, budget: float | None = None, seed: int = 0,
         seed: of the order of frames and of the samples.
         progress: called after each step with the seconds and steps so far, and the share of the fit that is
             done, in (0, 1].
+        slack: metres by which the fitted offsets are shortened, each as far as to zero at most.
 
     Raises:
         InputError: the capture has no training images, a mask cannot be read, or the masks do not show what
@@ -112,6 +114,9 @@ def fit_reference(capture: Capture, budget: float | None = None, seed: int = 0,
     agreement, residual = fit.check(checked)
     if agreement < LEAST_AGREEMENT:
         raise _not_found(capture, fit, checked, agreement)
+    if slack > 0:
+        fit.shorten(slack)
+        _, residual = fit.check(checked)
     offsets = fit.offsets.astype(np.float32)
     body, poses = with_offsets(capture, rest, offsets)
     return ReferenceSurface(body, poses, offsets, residual.astype(np.float32), agreement,

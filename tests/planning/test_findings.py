@@ -28,6 +28,20 @@ def test_masks_with_holes_do_not_widen_the_band() -> None:
     assert hidden.changes["band_inside"] <= full.band and hidden.changes["band"] <= 0.101
 
 
+def test_the_band_reaches_what_masks_do_not_show() -> None:
+    settings, full = PlanSettings(), full_model()
+    fine = Detail(0.01, 0.02, 0.01, {2: 1.0, 4: 1.0, 8: 1.0}, 1.0, 0.5)
+
+    def about(outside: float, least: float) -> Finding:
+        beside = [Disagreement(np.full(1000, depth), np.full(1000, 1.0), np.zeros(1000, int))
+                  for depth in (outside, 0.0)]
+        return findings.about_band(Standoff(beside[0], beside[1], 5000), fine, settings, full, None, least)
+
+    assert about(0.02, 0.05).changes["band"] == about(0.05, 0.0).changes["band"]
+    assert "may be 50 mm off" in about(0.02, 0.05).evidence
+    assert about(0.12, 0.05) == about(0.12, 0.0)
+
+
 def test_a_part_is_kept_if_it_is_significant_and_worth_it() -> None:
     settings, full = PlanSettings(accuracy=30, worth=0.1), full_model()
     # 0.1 dB of an error of 1e-3 is 2.33e-5.

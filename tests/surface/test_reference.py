@@ -33,6 +33,18 @@ def test_finds_the_sphere_and_repeats(shrunk_capture):
     np.testing.assert_array_equal(found.offsets, fit_reference(shrunk_capture).offsets)
 
 
+def test_slack_shortens_each_offset(shrunk_capture):
+    whole = fit_reference(shrunk_capture)
+    short = fit_reference(shrunk_capture, slack=0.03)
+    long, less = (np.linalg.norm(found.offsets, axis=1) for found in (whole, short))
+    np.testing.assert_allclose(less, np.maximum(long - 0.03, 0), atol=1e-6)
+    assert (np.cross(whole.offsets, short.offsets) ** 2).sum() < 1e-10
+    assert short.agreement == whole.agreement
+    # The outlines are now off by what was taken away.
+    assert np.median(short.residual) == pytest.approx(0.03, abs=0.01)
+    assert not fit_reference(shrunk_capture, slack=1.0).offsets.any()
+
+
 def test_a_budget_ends_the_fit(shrunk_capture):
     assert fit_reference(shrunk_capture, budget=1e-3).steps == 1
     assert fit_reference(shrunk_capture, budget=1e3).steps == ROUNDS
