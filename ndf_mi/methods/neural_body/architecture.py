@@ -22,6 +22,7 @@ class Architecture:
         voxel: edge of the finest voxels in metres.
         padding: by which the body's box grows on every side, in metres.
         code: length of a vertex's code.
+        code_rate: factor on the codes' learning rate.
         channels: features at strides 1, 2, 4, …
         depths: submanifold convolutions at each stride, after the strided one that leads to it.
         density_layers: widths of the hidden layers of the density network; the last is that of the linear
@@ -38,6 +39,7 @@ class Architecture:
     voxel: float = 0.005
     padding: float = 0.05
     code: int = 16
+    code_rate: float = 1.0
     channels: tuple[int, ...] = (16, 32, 64, 128, 128)
     depths: tuple[int, ...] = (2, 2, 3, 3, 3)
     density_layers: tuple[int, ...] = (256, 256, 256)

@@ -53,12 +53,12 @@ class NeuralBodyVolume:
 
     Attributes:
         poses: the capture's.
-        rates: none.
+        rates: that of the codes.
     """
 
     def __init__(self, capture: Capture, architecture: Architecture) -> None:
         self.poses = capture.poses
-        self.rates: Mapping[str, float] = {}
+        self.rates: Mapping[str, float] = {"codes": architecture.code_rate}
         self.architecture = architecture
         self.encoder = Encoder(architecture)
         self.layers = architecture.layers()
