@@ -33,6 +33,8 @@ class Architecture:
             view direction, which join there; −1 leaves one out.
         reach: the volume is empty where this stride has no voxel around: 1, 2, … for stride 2, 4, …; 0 for a
             volume that fills the box.
+        cover: share of the training masks' pixels whose rays must pass the volume. Where they don't, it
+            reaches as far as the first stride with which they do. 0 asks for nothing.
         activation, gain, bias, limit: of the density, as `density_activation` and so on of NDF's presets.
     """
 
@@ -48,6 +50,7 @@ class Architecture:
     position_octaves: int = 10
     direction_octaves: int = 4
     reach: int = 0
+    cover: float = 0.0
     activation: Literal["relu", "softplus"] = "relu"
     gain: float = 1.0
     bias: float = 0.0

@@ -21,6 +21,7 @@ from ndf_mi.field.sample import FieldSample, Located
 from ndf_mi.methods.neural_body.architecture import Architecture
 from ndf_mi.methods.neural_body.encoder import DeviceVoxels, Encoder, padded, place
 from ndf_mi.methods.neural_body.interpolation import Lookup, interpolate
+from ndf_mi.methods.neural_body.reach import Placed, covered
 from ndf_mi.methods.neural_body.voxels import Voxels, voxels
 from ndf_mi.methods.volume.volume import Parameters, layer_tensors
 from ndf_mi.render.quadrature import Radiance
@@ -65,6 +66,11 @@ class NeuralBodyVolume:
         self._training = {frame: row for row, frame in enumerate(capture.splits["train"].frames)}
         self._kept: OrderedDict[int, Placement] = OrderedDict()
         self._rows: tuple[int, ...] | None = None
+        self._reach = architecture.reach
+        if architecture.cover > 0 and self._training:
+            shares = covered(capture, self._placed, architecture.padding)
+            enough = [number for number, share in enumerate(shares, start=1) if share >= architecture.cover]
+            self._reach = max(self._reach, min(enough, default=len(shares)))
 
     def initial(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """Codes and latent codes are normal with variance 1, weights uniform in ±1/√(fan-in)."""
@@ -85,7 +91,7 @@ class NeuralBodyVolume:
         row = dr.opaque(mi.UInt32, self._training.get(frame, max(len(self._training) - 1, 0)))
         latent = dr.gather(mi.Float, parameters["latents"], row * length + dr.arange(mi.UInt32, length))
         tensors = layer_tensors(parameters["networks"], self.layers, {"linear1": latent})
-        return PosedNeuralBody(self.architecture, placement, features, tensors)
+        return PosedNeuralBody(self.architecture, self._reach, placement, features, tensors)
 
     def _placement(self, frame: int) -> Placement:
         if frame in self._kept:
@@ -96,13 +102,9 @@ class NeuralBodyVolume:
             frames = list(self._training)[:: max(1, len(self._training) // PROBED)] or [frame]
             counts = [[len(stride.sites) for stride in self._voxels(each)[0].strides] for each in frames]
             self._rows = tuple(padded(int(1.1 * most)) for most in np.max(counts, axis=0))
-        found, low, turn, shift = self._voxels(frame)
+        found, matrix = self._voxels(frame)
         vertices = self.poses.vertices[self.poses.index(frame)]
         lower, upper = padded_box(vertices, self.architecture.padding)
-        matrix = np.eye(4)
-        matrix[:3, :3] = turn.T
-        matrix[:3, 3] = -turn.T @ shift - low
-        matrix[:3] /= self.architecture.voxel
         to_body = mi.AffineTransform4f(matrix)
         dr.make_opaque(to_body)
         placement = Placement(mi.BoundingBox3f(mi.ScalarPoint3f(*lower), mi.ScalarPoint3f(*upper)), to_body,
@@ -112,19 +114,23 @@ class NeuralBodyVolume:
             self._kept.popitem(last=False)
         return placement
 
-    def _voxels(self, frame: int) -> tuple[Voxels, np.ndarray, np.ndarray, np.ndarray]:
-        """The voxels of a frame in the body's frame; their box's lower corner there, and the body's rotation
-        and translation.
-        """
+    def _placed(self, frame: int) -> Placed:
+        found, matrix = self._voxels(frame)
+        return found.strides, lambda points: points @ matrix[:3, :3].T + matrix[:3, 3]
+
+    def _voxels(self, frame: int) -> tuple[Voxels, np.ndarray]:
+        """The voxels of a frame, and the (4, 4) map from world space to the finest of them."""
         a, row = self.architecture, self.poses.index(frame)
         turn = Rotation.from_rotvec(self.poses.root_rotation[row].astype(np.float64)).as_matrix()
         shift = self.poses.translation[row].astype(np.float64)
         points = (self.poses.vertices[row] - shift) @ turn
         low, high = padded_box(points, a.padding)
         multiple = 2 ** len(a.channels)
-        shape = np.ceil((high - low) / a.voxel / multiple).astype(int) * multiple
-        size: tuple[int, int, int] = tuple(shape.tolist())
-        return voxels((points - low) / a.voxel, size, len(a.channels)), low, turn, shift
+        size = (np.ceil((high - low) / a.voxel / multiple).astype(int) * multiple).tolist()
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = turn.T, -turn.T @ shift - low
+        matrix[:3] /= a.voxel
+        return voxels((points - low) / a.voxel, (size[0], size[1], size[2]), len(a.channels)), matrix
 
 
 class PosedNeuralBody:
@@ -132,22 +138,20 @@ class PosedNeuralBody:
 
     sample_factor = 1
 
-    def __init__(self, architecture: Architecture, placement: Placement, features: list[mi.Float],
-                 tensors: dict[str, tuple[mi.TensorXf, mi.TensorXf]]) -> None:
+    def __init__(self, architecture: Architecture, reach: int, placement: Placement,
+                 features: list[mi.Float], tensors: dict[str, tuple[mi.TensorXf, mi.TensorXf]]) -> None:
         self.bbox = placement.bbox
-        self.majorant = 1.05 * architecture.limit
-        self._architecture, self._to_body = architecture, placement.to_body
+        self._architecture, self._reach, self._to_body = architecture, reach, placement.to_body
         self._features, self._tensors = features, tensors
         dr.eval(features)
         self._lookups = [Lookup(stride.keys, shape) for stride, shape in
                          zip(placement.voxels.strides[1:], placement.shapes[1:], strict=True)]
 
     def may_contain(self, x: mi.Point3f) -> mi.Bool:
-        """Whether voxels of the stride `reach` are around."""
-        reach = self._architecture.reach
-        if not reach:
+        """Whether voxels of the stride that the volume reaches to are around."""
+        if not self._reach:
             return mi.Bool(True)
-        return self._lookups[reach - 1].any_around(self._place(x, reach))
+        return self._lookups[self._reach - 1].any_around(self._place(x, self._reach))
 
     def locate(self, x: mi.Point3f, active: mi.Bool) -> Located:
         """Nothing but where the volume is not empty."""
