@@ -95,9 +95,11 @@ def test_a_comparison_keeps_its_meshes_and_their_figures(old: Path) -> None:
         == 0
     )
     after = read(old / "compare" / "compare.json")
-    assert [method["key"] for method in after["methods"]] == [method["key"] for method in before["methods"]]
+    # A time that is given is the only one that methods are trained for.
+    kept = [method for method in before["methods"] if not method["key"].endswith("-converged")]
+    assert [method["key"] for method in after["methods"]] == [method["key"] for method in kept]
     assert stamps(old / "compare", "mesh.safetensors") == meshes
-    for was, now in zip(before["methods"], after["methods"], strict=True):
+    for was, now in zip(kept, after["methods"], strict=True):
         assert now["means"]["novel_view"]["box_psnr"] == pytest.approx(
             was["means"]["novel_view"]["box_psnr"], abs=0.01
         )

@@ -1,4 +1,4 @@
-"""``ndf-mi compare``: a run compared with other methods, on held-out views and poses."""
+"""``ndf-mi compare``: a run, or methods trained here, compared on held-out views and poses."""
 
 from __future__ import annotations
 
@@ -11,23 +11,25 @@ import tyro
 
 from ndf_mi.commands.command_line import command_line
 from ndf_mi.deprecated import DeprecatedOption
+from ndf_mi.errors import InputError
 
-REPORT = "report.html"
+REPORT, CAPTURE = "report.html", "capture.json"
 _METHODS_HELP = (
     "What is compared, separated by commas; differences refer to the first. `ndf` is the run, `mesh` a "
-    "textured mesh, `offset-mesh` one whose vertices are trained too, `ndf:FOLDER` another run, and "
-    "`images:FOLDER` pictures that another program rendered, as FOLDER/CAMERA/FRAME.png. `@equal-time` or "
-    "`@converged` after a name sets how long it is trained."
+    "textured mesh, `offset-mesh` one whose vertices are trained too, `gaussians`, `neural-body` and "
+    "`animatable-nerf` are other systems, `ndf:FOLDER` is another run, and `images:FOLDER` pictures that "
+    "another program rendered, as FOLDER/CAMERA/FRAME.png. `@equal-time` or `@converged` after a name sets "
+    "how long it is trained."
 )
 
 
 @dataclass
 class Compare:
-    """Compare a trained field with other methods on one capture; write report.html.
+    """Compare a trained field with other methods on one capture, or train all of them; write report.html.
 
-    Methods without a folder are trained on the same images as the run: to convergence and, unless that was
-    faster than the run's training, for the same time as the run. What an earlier call trained or measured
-    with the same settings is kept.
+    Methods without a folder are trained on the same images: for `--seconds`; without that, to convergence
+    and, unless that was faster than the run's training, for the same time as the run. What an earlier call
+    trained or measured with the same settings is kept, and a training that was stopped continues.
     """
 
     deprecated: ClassVar[tuple[DeprecatedOption, ...]] = (
@@ -40,21 +42,26 @@ class Compare:
                 "none": ("--methods", "ndf,mesh"),
             },
         ),
+        DeprecatedOption("--mesh-seconds", "--seconds"),
     )
 
-    run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """Folder of the run."""
+    target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|CAPTURE")]
+    """Folder of the run; or of a capture, on which `ndf` is trained as the others are."""
 
-    capture: Path
+    capture: Path | None = None
     """Folder of the capture that the run was trained on."""
 
     methods: Annotated[str, tyro.conf.arg(help=_METHODS_HELP)] = "ndf,mesh,offset-mesh"
 
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the report, figures and pictures; RUN by default."""
+    """Folder for the report, figures, pictures and trained methods; RUN by default, needed with a capture."""
 
-    mesh_seconds: float | None = None
-    """Training time in seconds for methods of equal time; the run's own training time by default."""
+    seconds: float | None = None
+    """Training time in seconds of each method that is trained here; by default the run's own."""
+
+    seeds: int = 1
+    """Trainings of each method that is trained here, with different seeds; tables show means and standard
+    deviations."""
 
     protocol: Literal["default", "zju", "dynacap"] = "default"
     """Which images are measured, what the capture must hold and which metrics lead; see docs/protocols.md."""
@@ -81,16 +88,28 @@ class Compare:
         from ndf_mi.reports.compare import headline, notes, write_report
         from ndf_mi.reports.tables import print_table
 
-        folder = self.out or self.run_folder
+        run, capture, folder = self._folders()
         settings = Settings(
             self.max_images, self.sequence, self.samples, self.seed, self.protocol,
-            tuple(self.methods.split(",")), self.mesh_seconds, self.texture,
+            tuple(self.methods.split(",")), self.seconds, self.texture, self.seeds,
         )
-        comparison = Comparison(
-            self.run_folder, self.capture, folder, settings, command_line("compare", self)
-        )
+        comparison = Comparison(run, capture, folder, settings, command_line("compare", self))
         with ConsoleProgress(sys.stderr) as progress:
             results = comparison.run(progress)
         write_report(folder / REPORT, results, comparison.capture, comparison.pictures)
         print_table(headline(results, results.splits()), notes(results))
         print(f"\n{folder / REPORT}")
+
+    def _folders(self) -> tuple[Path | None, Path, Path]:
+        """Those of the run, if there is one, of the capture, and for the output."""
+        if (self.target / CAPTURE).is_file():
+            if self.capture is not None:
+                raise InputError("--capture", f"{self.capture} beside the capture {self.target}",
+                                 "one of them")
+            if self.out is None:
+                raise InputError("-o", "none", "a folder for the report and the trained methods",
+                                 "Captures stay as they are; give another folder with -o.")
+            return None, self.target, self.out
+        if self.capture is None:
+            raise InputError("--capture", "none", f"the capture that {self.target} was trained on")
+        return self.target, self.capture, self.out or self.target

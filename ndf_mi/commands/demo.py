@@ -49,7 +49,7 @@ class Demo:
             Optimise(capture=capture, out=run, seconds=self.seconds, seed=self.seed).run()
         _print_step("3/3  training textured meshes, comparing all on held-out views and poses")
         methods = "ndf,mesh,offset-mesh@equal-time"
-        Compare(run_folder=run, capture=capture, out=self.out, seed=self.seed, methods=methods).run()
+        Compare(target=run, capture=capture, out=self.out, seed=self.seed, methods=methods).run()
         _print_step(f"done in {time.perf_counter() - started:.0f} s: open {self.out / 'report.html'}")
         return 0
 

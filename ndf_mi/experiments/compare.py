@@ -1,4 +1,6 @@
-"""A run compared with other methods on one capture, on images that none of them was trained on."""
+"""Methods compared on one capture, on images that none of them was trained on: a run with others, or all
+trained here.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from ndf_mi.experiments import protocols
 from ndf_mi.experiments.core import SILENT, Progress
 from ndf_mi.experiments.evaluate import ImageSet, Measurement
 from ndf_mi.experiments.fit import fitted
-from ndf_mi.experiments.records import Results
+from ndf_mi.experiments.records import Results, Trained
+from ndf_mi.experiments.resources import size_on_disk
 from ndf_mi.experiments.settings import Evaluation, at_least, positive
 from ndf_mi.experiments.store import Store
 from ndf_mi.learn.loop import expect_capture
@@ -38,27 +41,49 @@ class Settings(Evaluation):
 
     Attributes:
         methods: the methods, as `ndf_mi.methods.registry.parse_spec` reads them.
-        mesh_seconds: training time of the methods of equal time; None takes the run's own.
+        seconds: training time of the methods of equal time; None takes the run's own. Methods without a
+            budget of their own are trained for this time alone if it is given.
         texture: texels a side of the meshes' textures.
+        seeds: trainings of each method that is trained here, with `seed` and the following ones.
     """
 
     methods: tuple[str, ...] = METHODS
-    mesh_seconds: float | None = None
+    seconds: float | None = None
     texture: int = 512
+    seeds: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(self, texture=1)
-        positive(self, "mesh_seconds")
+        at_least(self, texture=1, seeds=1)
+        positive(self, "seconds")
         parse_specs(self.methods)
+
+
+@dataclass(frozen=True)
+class Ready:
+    """A method that is ready to render.
+
+    Attributes:
+        name: in the study.
+        label: for readers.
+        method: trained or loaded.
+        group: the name without its seed; empty if the method is loaded.
+        peak_memory: bytes that its training took at most, where that is known.
+    """
+
+    name: str
+    label: str
+    method: Method
+    group: str = ""
+    peak_memory: int | None = None
 
 
 class Comparison:
     """One comparison in one folder.
 
     Args:
-        run: folder of a run.
-        capture: folder of the capture that it was trained on.
+        run: folder of a run; None if all methods are trained here.
+        capture: folder of the capture, on which the run was trained.
         folder: where `compare.json` goes; pictures and trained methods go to its subfolder `compare`.
         settings: what is compared, and how.
         command: the command that the report names.
@@ -70,16 +95,17 @@ class Comparison:
     """
 
     def __init__(
-        self, run: str | os.PathLike[str], capture: str | os.PathLike[str], folder: str | os.PathLike[str],
-        settings: Settings, command: str,
+        self, run: str | os.PathLike[str] | None, capture: str | os.PathLike[str],
+        folder: str | os.PathLike[str], settings: Settings, command: str,
     ) -> None:
         self._work = Path(folder) / WORK
         self.pictures = self._work / PICTURES
         self.settings = settings
         self._specs = parse_specs(settings.methods)
-        self._run = Run.load(run)
+        self._run = None if run is None else Run.load(run)
         self.capture = Capture.read(capture)
-        expect_capture(self._run, self.capture)
+        if self._run is not None:
+            expect_capture(self._run, self.capture)
         self._options = {"texture": settings.texture, "samples": settings.samples}
         self._seconds = self._equal_seconds()
         self._images = ImageSet.choose(self.capture, settings)
@@ -95,60 +121,64 @@ class Comparison:
     def run(self, progress: Progress = SILENT) -> Results:
         """Trains and measures what is missing or stale. `compare.json` is written after each unit."""
         self._store.about, self._store.summary = self.results.about, self.results.summary
-        chosen = [one for spec in self._specs for one in self._ready(spec, progress)]
+        chosen = [ready for spec in self._specs for ready in self._ready(spec, progress)]
         self.results.methods = []
-        for name, label, method in chosen:
-            measurement = Measurement(name, label, method, self._images, self.pictures)
-            self.results.methods.append(measurement.run(self._store, progress))
+        for ready in chosen:
+            result = Measurement(ready.name, ready.label, ready.method, self._images, self.pictures).run(
+                self._store, progress)
+            result.group = ready.group
+            result.metadata |= {"peak_memory": ready.peak_memory, "size_on_disk": size_on_disk(ready.method)}
+            self.results.methods.append(result)
         self._store.write()
         return self.results
 
-    def _ready(self, spec: MethodSpec, progress: Progress) -> list[tuple[str, str, Method]]:
-        """Name, label and method, ready to render, of those that a spec stands for. Without a budget these
-        are the one trained for equal time and the one trained to convergence, or only the latter if it
-        converged within that time."""
+    def _ready(self, spec: MethodSpec, progress: Progress) -> list[Ready]:
+        """The methods that a spec stands for, ready to render; one for each seed where they are trained."""
         if spec.name in self._loaded:
             method = self._loaded[spec.name]
-            return [(spec.name, method.label, method)]
-        if spec.budget is not None:
-            return [self._fitted(spec.key, spec.budget, progress)]
-        converged = self._fitted(spec.key, CONVERGED, progress)
-        metadata = converged[2].metadata()
-        # A time that the user gave is always trained for.
-        stands_for_equal_time = (
-            self.settings.mesh_seconds is None
-            and metadata.get("converged")
-            and metadata["seconds"] <= self._seconds
-        )
-        if stands_for_equal_time:
-            return [converged]
-        return [self._fitted(spec.key, EQUAL_TIME, progress), converged]
+            return [Ready(spec.name, method.label, method)]
+        seeds = range(self.settings.seed, self.settings.seed + self.settings.seeds)
+        return [ready for seed in seeds for ready in self._trained(spec, seed, progress)]
 
-    def _fitted(self, key: str, end: str, progress: Progress) -> tuple[str, str, Method]:
-        """A method trained to an end, or loaded if it has been; as in `_ready`."""
-        name = f"{key}-{end}"
+    def _trained(self, spec: MethodSpec, seed: int, progress: Progress) -> list[Ready]:
+        """A method trained with one seed. Without a budget and a time these are the one trained for equal
+        time and the one trained to convergence, or only the latter if it converged within that time."""
+        if spec.budget is not None or self.settings.seconds is not None:
+            return [self._fitted(spec.key, spec.budget or EQUAL_TIME, seed, progress)]
+        converged = self._fitted(spec.key, CONVERGED, seed, progress)
+        metadata = converged.method.metadata()
+        if metadata.get("converged") and metadata["seconds"] <= self._seconds:
+            return [converged]
+        return [self._fitted(spec.key, EQUAL_TIME, seed, progress), converged]
+
+    def _fitted(self, key: str, end: str, seed: int, progress: Progress) -> Ready:
+        """A method trained to an end, or loaded if it has been."""
+        group, others = f"{key}-{end}", self.settings.seeds > 1
+        name = group if seed == self.settings.seed else f"{group}-seed{seed}"
         # Another training of the same method has searched its options already.
         method = entry(key).create({**self._options, **self._tuned.get(key, {})})
         label = f"{method.label}, {_ENDS[end]}"
-        budget = Budget(None if end == CONVERGED else self._budget(name), self.settings.seed)
+        budget = Budget(None if end == CONVERGED else self._budget(name), seed)
         fitted(
-            method, name, f"train {label}", entry(key).accepted(self._options), self.capture, budget,
-            self._work / name, self._store, progress,
+            method, name, f"train {label}" + (f", seed {seed}" if others else ""),
+            entry(key).accepted(self._options), self.capture, budget, self._work / name, self._store,
+            progress,
         )
         self._tuned[key] = method.metadata().get("tuned", {})
-        return name, label, method
+        record = self._store.matching(f"{name}/train", Trained).get(f"{name}/train")
+        return Ready(name, label, method, group, None if record is None else record.peak_memory)
 
     def _budget(self, name: str) -> float:
         """Seconds of equal time: those of an earlier training if the run has hardly been trained since."""
         known: float | None = self._store.inputs(f"{name}/train").get("budget")
-        if self.settings.mesh_seconds is not None or not known:
+        if self.settings.seconds is not None or not known:
             return self._seconds
         return known if abs(known - self._seconds) <= _SAME_TIME * self._seconds else self._seconds
 
     def _folder(self, spec: MethodSpec) -> Path | None:
         """Where a method is loaded from, or None if it is trained."""
         itself = (spec.key, spec.folder, spec.budget) == (RUN_METHOD, None, None)
-        return self._run.path if itself else spec.folder
+        return self._run.path if itself and self._run is not None else spec.folder
 
     def _load(self, spec: MethodSpec, folder: Path) -> Method:
         method = entry(spec.key).create(self._options)
@@ -159,17 +189,22 @@ class Comparison:
     def _equal_seconds(self) -> float:
         """The time of equal-time trainings, in seconds; 0 if there are none."""
         trained = [spec for spec in self._specs if self._folder(spec) is None and spec.budget != CONVERGED]
-        seconds = self.settings.mesh_seconds or (self._run.config.get("trained") or {}).get("seconds") or 0.0
+        of_run = None if self._run is None else (self._run.config.get("trained") or {}).get("seconds")
+        seconds = self.settings.seconds or of_run or 0.0
         if trained and not seconds:
-            where, expected = f"{self._run.path / 'config.json'}: trained", "the seconds of `ndf-mi optimise`"
-            repair = "Give the training time of the other methods: --mesh-seconds 600"
-            raise InputError(where, "no training time", expected, repair)
+            repair = "Give the training time of the methods: --seconds 600"
+            if self._run is None:
+                raise InputError("option seconds", "none",
+                                 "a training time, as there is no run to take it from", repair)
+            where = f"{self._run.path / 'config.json'}: trained"
+            raise InputError(where, "no training time", "the seconds of `ndf-mi optimise`", repair)
         return float(seconds)
 
     def _about(self, command: str) -> dict[str, Any]:
-        protocol, training = protocols.named(self.settings.protocol), self._run.config.get("training")
+        protocol = protocols.named(self.settings.protocol)
+        training = None if self._run is None else self._run.config.get("training")
         return {
-            "run": str(self._run.path),
+            "run": None if self._run is None else str(self._run.path),
             **self._images.about(asdict(self.settings), command),
             "protocol": protocol.metadata(training, self.capture, self.settings.max_images),
             "equal_seconds": self._seconds,

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from ndf_mi.capture.capture import Capture
 from ndf_mi.experiments.core import Progress, Unit, run_units
 from ndf_mi.experiments.records import Trained
+from ndf_mi.experiments.resources import peak_memory
 from ndf_mi.experiments.store import Store
 from ndf_mi.field import Preset
 from ndf_mi.learn.options import TrainingOptions
@@ -40,13 +41,16 @@ def fitted(
     def report(seconds: float, step: int, loss: float) -> None:
         progress.training(label, seconds, budget.seconds, step, loss)
 
-    def work() -> Trained:
+    def train() -> None:
         if isinstance(method, Resumable):
             method.fit_in(folder, capture, budget, report)
         else:
             method.fit(capture, budget, report)
             method.save(folder)
-        return Trained(method.metadata())
+
+    def work() -> Trained:
+        peak = peak_memory(train)
+        return Trained(method.metadata(), peak)
 
     inputs = {
         "capture": capture.digest, "method": method.key, "options": dict(options), "seed": budget.seed,

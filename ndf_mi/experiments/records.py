@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import statistics
+from dataclasses import dataclass
 from typing import Any
 
 from msgspec import Struct
@@ -51,9 +53,16 @@ class FrameSequence(Struct, frozen=True):
 
 
 class Trained(Struct, tag="trained", tag_field="kind"):
-    """A training that has ended; `metadata` is what the method reports of itself and of the training."""
+    """A training that has ended.
+
+    Attributes:
+        metadata: what the method reports of itself and of the training.
+        peak_memory: bytes of main memory that the process held at most since the training was begun or
+            continued; None where that was not measured.
+    """
 
     metadata: dict[str, Any] = {}
+    peak_memory: int | None = None
 
 
 class Measured(Struct, tag="image", tag_field="kind"):
@@ -101,6 +110,7 @@ class MethodResult(Struct):
         metadata: what the method reports of itself and its training; JSON values.
         images: the images measured so far.
         flicker: temporal consistency of each sequence whose images are complete.
+        group: what trainings of one method with different seeds share; empty where there is only one.
     """
 
     key: str
@@ -109,6 +119,7 @@ class MethodResult(Struct):
     metadata: dict[str, Any] = {}
     images: list[Measured] = []
     flicker: list[Flicker] = []
+    group: str = ""
 
     def mean(self, split: str, metric: str) -> float | None:
         """The mean over the sampled images of a split; for temporal PSNR, over the pairs of frames of its
@@ -142,6 +153,34 @@ class MethodResult(Struct):
         }
 
 
+@dataclass(frozen=True)
+class Trainings:
+    """The trainings of one method, which differ by their seeds; at least one."""
+
+    members: tuple[MethodResult, ...]
+
+    @property
+    def first(self) -> MethodResult:
+        """The training with the first seed: what pictures show."""
+        return self.members[0]
+
+    @property
+    def label(self) -> str:
+        """The method's name for readers."""
+        return self.first.label
+
+    def mean(self, split: str, metric: str) -> float | None:
+        """The mean of `MethodResult.mean` over the trainings."""
+        return metrics.average([member.mean(split, metric) for member in self.members])
+
+    def spread(self, split: str, metric: str) -> float | None:
+        """The standard deviation of `MethodResult.mean` over the trainings; None of fewer than two finite
+        values."""
+        means = [member.mean(split, metric) for member in self.members]
+        finite = [value for value in means if value is not None and math.isfinite(value)]
+        return statistics.stdev(finite) if len(finite) > 1 else None
+
+
 class Results(Struct):
     """A whole comparison; `about` holds what the report says of it, such as the capture and the command."""
 
@@ -151,6 +190,17 @@ class Results(Struct):
     def method(self, key: str) -> MethodResult | None:
         """The result with this key, or None."""
         return next((method for method in self.methods if method.key == key), None)
+
+    def trainings(self) -> list[Trainings]:
+        """The methods, with the trainings of each."""
+        found: dict[str, list[MethodResult]] = {}
+        for method in self.methods:
+            found.setdefault(method.group or method.key, []).append(method)
+        return [Trainings(tuple(members)) for members in found.values()]
+
+    def first(self) -> Results:
+        """The same with the first training of each method."""
+        return Results(self.about, [each.first for each in self.trainings()])
 
     def splits(self) -> list[str]:
         """The splits that have images, in the order in which they were measured."""

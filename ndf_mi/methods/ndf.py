@@ -22,9 +22,11 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.refined import refined_camera, seen_by
 from ndf_mi.learn.scattering import SCATTERING
 from ndf_mi.learn.trained import clear, expect_options, trained
+from ndf_mi.learn.trainer import STATE
 from ndf_mi.methods.base import Budget, Progress
 from ndf_mi.render.image import RECIPE, ImageRenderer
-from ndf_mi.run import Run
+from ndf_mi.run import SURFACE, Run
+from ndf_mi.training_log import FILE_NAME as LOG
 from ndf_mi.training_log import read_training_log
 
 HISTORY = ("step", "seconds", "loss")
@@ -32,6 +34,9 @@ HISTORY = ("step", "seconds", "loss")
 
 HELD_BACK = ("step", "seconds", "held_back_psnr")
 """Keys that the curve of held-back views takes."""
+
+FILES = ("body.npz", "poses.npz", "field.safetensors", SURFACE, STATE, LOG)
+"""What a run holds besides `config.json`."""
 
 UNLIMITED = 10**9
 """Steps of a training that its seconds limit."""
@@ -106,9 +111,10 @@ class NeuralField:
         self._take(run)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Copies the run's files."""
-        for file in sorted(self.run.path.iterdir()):
-            if file.is_file() and not files.is_left_over(file) and file.name != "config.json":
+        """Copies the files of the run and of its training."""
+        for name in FILES:
+            file = self.run.path / name
+            if file.is_file():
                 with files.replacing(Path(folder) / file.name) as temporary:
                     shutil.copyfile(file, temporary)
         # Last, as a run without it counts as unfinished.

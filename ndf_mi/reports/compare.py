@@ -12,6 +12,7 @@ from ndf_mi.capture.capture import Capture
 from ndf_mi.experiments import metrics
 from ndf_mi.experiments.records import SPLITS, Results
 from ndf_mi.reports import page, tables, training
+from ndf_mi.reports.advice import advice
 from ndf_mi.reports.flicker import flicker_section
 from ndf_mi.reports.page import Fact
 from ndf_mi.reports.pictures import picture_rows
@@ -27,7 +28,8 @@ def write_report(path: str | os.PathLike[str], results: Results, capture: Captur
         capture: the truth.
         pictures: a folder of pictures for each method, by its key.
     """
-    about = results.about
+    about, shown = results.about, results.first()
+    run = [Fact("Run", (about["run"],))] if about["run"] else []
     page.write_page(
         path, "compare.html.j2",
         name=capture.name,
@@ -36,17 +38,19 @@ def write_report(path: str | os.PathLike[str], results: Results, capture: Captur
         protocol=page.protocol_sentence(about),
         cards=_cards(results),
         headline=headline(results, _held_out(results)),
-        notes=[*notes(results), *training.equal_time_notes(results)],
-        rows=picture_rows(results, capture, pictures),
-        flicker=flicker_section(results, capture, pictures),
+        notes=[*notes(results), *training.equal_time_notes(shown)],
+        rows=picture_rows(shown, capture, pictures),
+        flicker=flicker_section(shown, capture, pictures),
         times=training.times(results),
-        curves=training.curves(results),
+        quality=training.quality(results),
+        curves=training.curves(shown),
+        advice=advice(results),
         full=[_full_table(results, split) for split in results.splits()],
         padding=100 * BOX_PADDING,
         origin=page.origin(
-            about, Fact("Run", (about["run"],)), page.capture_fact(about), page.protocol_fact(about),
+            about, *run, page.capture_fact(about), page.protocol_fact(about),
             Fact("Settings", (page.settings_text(about["settings"]),)),
-            *map(training.metadata_fact, results.methods)),
+            *map(training.metadata_fact, shown.methods)),
     )
 
 
@@ -71,7 +75,7 @@ def _held_out(results: Results) -> list[str]:
 
 def _cards(results: Results) -> list[dict[str, Any]]:
     """The first method's figure on each held-out split, and how far it is from each other method."""
-    first, *others = results.methods
+    first, *others = results.trainings()
     cards = []
     for split in (split for split in _held_out(results) if split != "sequence"):
         mine = first.mean(split, "box_psnr")

@@ -83,28 +83,30 @@ class Table:
 
 
 def comparison(groups: Sequence[tuple[str, Results, str]], keys: Sequence[str], caption: str = "") -> Table:
-    """The means of every method, and the difference of the first method to each other one.
+    """The means of every method, with their standard deviation over seeds where it was trained with several,
+    and the difference of the first method to each other one.
 
     Args:
         groups: (heading, results, split) of each group of columns; all results hold the same methods.
         keys: the metrics of each group, by their keys in `metrics.LABELS`.
         caption: what the table shows.
     """
-    labels = [method.label for method in groups[0][1].methods]
+    labels = [method.label for method in groups[0][1].trainings()]
     columns = [
-        (key, [method.mean(split, key) for method in results.methods])
-        for _, results, split in groups
+        (key, [method.mean(split, key) for method in methods],
+         [method.spread(split, key) for method in methods])
+        for _, methods, split in ((heading, results.trainings(), split) for heading, results, split in groups)
         for key in keys
     ]
     rows = [
-        Row(label, tuple(_cell(key, means, index) for key, means in columns))
+        Row(label, tuple(_cell(key, means, spreads, index) for key, means, spreads in columns))
         for index, label in enumerate(labels)
     ]
     for index, label in enumerate(labels[1:], start=1):
-        cells = (Cell(signed(key, difference(means[0], means[index]))) for key, means in columns)
+        cells = (Cell(signed(key, difference(means[0], means[index]))) for key, means, _ in columns)
         rows.append(Row(f"{labels[0]} − {label}", tuple(cells), difference=True))
     headings = tuple((heading, len(keys)) for heading, _, _ in groups if heading)
-    names = tuple(metrics.LABELS[key] for key, _ in columns)
+    names = tuple(metrics.LABELS[key] for key, *_ in columns)
     return Table(names, tuple(rows), headings, caption, corner="Method")
 
 
@@ -153,6 +155,16 @@ def duration(seconds: float | None) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
+def size(count: int | None) -> str:
+    """Bytes as people read them: 830 kB, 12 MB, 1.4 GB; “–” for None."""
+    if count is None:
+        return "–"
+    for factor, unit in ((1e9, "GB"), (1e6, "MB")):
+        if count >= factor:
+            return f"{count / factor:.1f} {unit}" if count < 10 * factor else f"{count / factor:.0f} {unit}"
+    return f"{count / 1e3:.0f} kB"
+
+
 def count(number: int, noun: str) -> str:
     """“1 image”, “12 images”, “1,200 images”."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
@@ -163,8 +175,9 @@ def lower(label: str) -> str:
     return label if label[:2].isupper() else label[:1].lower() + label[1:]
 
 
-def _cell(key: str, column: Sequence[float | None], index: int) -> Cell:
+def _cell(key: str, column: Sequence[float | None], spreads: Sequence[float | None], index: int) -> Cell:
     defined = [value for value in column if value is not None]
     best = (max if metrics.HIGHER_IS_BETTER[key] else min)(defined, default=None)
-    value = column[index]
-    return Cell(figure(key, value), best=value is not None and value == best and len(defined) > 1)
+    value, spread = column[index], spreads[index]
+    text = figure(key, value) + ("" if spread is None else f" ± {figure(key, spread)}")
+    return Cell(text, best=value is not None and value == best and len(defined) > 1)

@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from ndf_mi.experiments.records import MethodResult, Results
+from ndf_mi.experiments.records import HELD_OUT, SPLITS, MethodResult, Results
+from ndf_mi.experiments.trade.front import pareto_front
 from ndf_mi.reports import charts, tables
 from ndf_mi.reports.charts import Chart
 from ndf_mi.reports.page import Fact, settings_text
@@ -15,7 +16,12 @@ from ndf_mi.reports.tables import Cell, Row, Table
 
 def notes(results: Results) -> list[str]:
     """A sentence or two for each method that has something to say of its training."""
-    return [note for note in map(_note, results.methods) if note]
+    notes = [note for note in map(_note, results.first().methods) if note]
+    most = max((len(each.members) for each in results.trainings()), default=1)
+    if most > 1:
+        notes.append(f"Figures with ± are means and standard deviations over {most} trainings, which differ "
+                     "by their seeds; pictures show the first.")
+    return notes
 
 
 def equal_time_notes(results: Results) -> list[str]:
@@ -33,17 +39,36 @@ def equal_time_notes(results: Results) -> list[str]:
 
 
 def times(results: Results) -> Table:
-    """Seconds and steps of training, and seconds an image."""
+    """Seconds, steps and peak memory of training, size on disk, and seconds an image."""
     rows = [
         Row(method.label, tuple(map(Cell, (
             tables.duration(method.metadata.get("seconds")),
             "–" if method.metadata.get("steps") is None else f"{method.metadata['steps']:,}",
+            tables.size(method.metadata.get("peak_memory")),
+            tables.size(method.metadata.get("size_on_disk")),
             tables.duration(method.seconds_an_image()),
         ))))
-        for method in results.methods
+        for method in results.first().methods
     ]
-    columns = ("Training time", "Training steps", "Rendering time per image, median")
+    columns = ("Training time", "Training steps", "Peak memory in training", "Size on disk",
+               "Rendering time per image, median")
     return Table(columns, tuple(rows), corner="Method")
+
+
+def quality(results: Results) -> list[Chart]:
+    """Box PSNR against training time, a chart for each held-out split; methods that no other one beats in
+    both are joined. Methods that do not say how long they were trained are left out."""
+    found = []
+    for split in HELD_OUT:
+        known = [(each.label, each.first.metadata.get("seconds"), each.mean(split, "box_psnr"))
+                 for each in results.trainings()]
+        points = [(label, seconds, psnr) for label, seconds, psnr in known
+                  if seconds and psnr is not None and math.isfinite(psnr)]
+        if len(points) > 1:
+            front = pareto_front([seconds for _, seconds, _ in points], [psnr for *_, psnr in points])
+            found.append(charts.front_chart(points, front, None, "seconds of training", "box PSNR (dB)",
+                                            f"Quality against training time, {SPLITS[split]}"))
+    return found
 
 
 def curves(results: Results) -> Chart | None:
@@ -70,7 +95,7 @@ def curves(results: Results) -> Chart | None:
 
 def metadata_fact(method: MethodResult) -> Fact:
     """Everything that a method reports of itself, except its curve and its note."""
-    hidden = ("history", "held_back", "note", "capture")  # printed elsewhere
+    hidden = ("history", "held_back", "note", "capture", "peak_memory", "size_on_disk")  # printed elsewhere
     shown = {key: value for key, value in method.metadata.items() if key not in hidden and value is not None}
     plain = {key: value for key, value in shown.items() if not isinstance(value, (Mapping, list, tuple))}
     nested = {key: value for key, value in shown.items() if isinstance(value, Mapping) and value}

@@ -128,7 +128,7 @@ def test_a_stopped_training_of_a_field_continues_and_is_recorded(run, capture, t
     try:
         first, second, third = Stop(2), Stop(None), Stop(None)
         # Time enough to compile the kernels of two steps on a slow machine.
-        again = functools.partial(compared, run, capture, tmp_path, "tiny-field@equal-time", mesh_seconds=15)
+        again = functools.partial(compared, run, capture, tmp_path, "tiny-field@equal-time", seconds=15)
         with pytest.raises(KeyboardInterrupt):
             again(progress=first)
         results = again(progress=second)
@@ -190,11 +190,9 @@ def test_without_a_budget_a_method_is_trained_to_convergence_and_for_equal_time_
     first = compared(run, capture, tmp_path, "ndf", "brighter")
     assert keys(first) == ["ndf", "brighter-converged"] and brighter.fits == [(None, 0, 32, None)]
     assert first.methods[1].label == "Brighter, to convergence"
-    # A time that the user gave is always trained for, with what the first training's search found.
-    timed = compared(run, capture, tmp_path, "ndf", "brighter", mesh_seconds=0.5)
-    assert keys(timed) == ["ndf", "brighter-equal-time", "brighter-converged"] and brighter.fits[1:] == [
-        (0.5, 0, 32, 0.5)
-    ]
+    # For a time that the user gave it is trained for that time alone.
+    timed = compared(run, capture, tmp_path, "ndf", "brighter", seconds=0.5)
+    assert keys(timed) == ["ndf", "brighter-equal-time"] and brighter.fits[1:] == [(0.5, 0, 32, None)]
     # Slower than the run.
     monkeypatch.setattr(brighter, "seconds_to_converge", 2 * RUN_SECONDS)
     slow = compared(run, capture, tmp_path / "slow", "brighter")
@@ -207,10 +205,48 @@ def test_what_a_search_found_does_not_reach_other_methods(run, capture, tmp_path
 
     registry.register(Foreign)
     try:
-        compared(run, capture, tmp_path, "brighter", "foreign", mesh_seconds=0.5)
+        compared(run, capture, tmp_path, "brighter", "foreign", seconds=0.5, seeds=2)
     finally:
         registry.unregister("foreign")
     assert [rate for *_, rate in brighter.fits] == [None, 0.5, None, 0.5]
+
+
+def test_several_seeds_are_trainings_of_one_method(run, capture, tmp_path, brighter):
+    found = compared(run, capture, tmp_path, "ndf", "brighter", seconds=0.5, seeds=3, seed=4)
+    assert [seed for _, seed, *_ in brighter.fits] == [4, 5, 6]
+    assert keys(found) == ["ndf", "brighter-equal-time", "brighter-equal-time-seed5",
+                           "brighter-equal-time-seed6"]
+    field, others = found.trainings()
+    assert len(field.members) == 1 and len(others.members) == 3 and others.label == "Brighter, equal time"
+    assert field.spread("novel_view", "box_psnr") is None
+    assert others.spread("novel_view", "box_psnr") == pytest.approx(0, abs=1e-9)
+    assert keys(found.first()) == keys(found)[:2]
+    # One seed more: the others are there already.
+    compared(run, capture, tmp_path, "ndf", "brighter", seconds=0.5, seeds=4, seed=4)
+    assert [seed for _, seed, *_ in brighter.fits] == [4, 5, 6, 7]
+
+
+def test_without_a_run_all_methods_are_trained(capture, tmp_path, brighter, capsys):
+    arguments = ["compare", str(capture.path), "--methods", "brighter,images:x", "--max-images", "1"]
+    assert main(arguments) == 2 and "-o" in capsys.readouterr().err
+    arguments = ["compare", str(capture.path), "-o", str(tmp_path / "out"), "--methods", "brighter",
+                 "--max-images", "1", "--sequence", "0"]
+    assert main(arguments) == 2 and "--seconds" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists() and not brighter.fits
+    assert main([*arguments, "--capture", str(capture.path), "--seconds", "1"]) == 2
+    assert main([*arguments, "--seconds", "1", "--seeds", "2"]) == 0
+    assert [fit[:2] for fit in brighter.fits] == [(1.0, 0), (1.0, 1)] and "±" in capsys.readouterr().out
+    document = json.loads((tmp_path / "out" / RESULTS).read_text())
+    assert document["about"]["run"] is None
+    (first, second) = document["methods"]
+    size = (tmp_path / "out" / "compare" / "brighter-equal-time" / "brighter.json").stat().st_size
+    assert first["metadata"]["size_on_disk"] == size
+    # A process with Mitsuba in it.
+    assert first["metadata"]["peak_memory"] > 1e8
+
+
+def test_a_run_needs_its_capture(run, tmp_path, capsys):
+    assert main(["compare", str(run), "-o", str(tmp_path)]) == 2 and "--capture" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -288,7 +324,7 @@ def test_real_methods_by_the_command_line(run, capture, tmp_path, capsys):
     out = tmp_path / "out"
     arguments = [
         "compare", str(run), "--capture", str(capture.path), "-o", str(out), "--max-images", "1", "--texture",
-        "16", "--samples", "16", "--mesh-seconds", "0.3", "--methods", "ndf,mesh@equal-time",
+        "16", "--samples", "16", "--seconds", "0.3", "--methods", "ndf,mesh@equal-time",
     ]
     assert main(arguments) == 0
     printed = capsys.readouterr().out
@@ -296,7 +332,7 @@ def test_real_methods_by_the_command_line(run, capture, tmp_path, capsys):
     document = json.loads((out / RESULTS).read_text())
     assert (
         document["about"]["command"].startswith("ndf-mi compare")
-        and "--mesh-seconds 0.3" in document["about"]["command"]
+        and "--seconds 0.3" in document["about"]["command"]
     )
     field, mesh = document["methods"]
     assert (
@@ -340,10 +376,10 @@ def test_a_run_without_training_time_needs_the_option(run, capture, tmp_path, br
     config = json.loads((run / "config.json").read_text())
     del config["trained"]
     files.write_json(tmp_path / "run" / "config.json", config)
-    with pytest.raises(InputError, match="--mesh-seconds"):
+    with pytest.raises(InputError, match="--seconds"):
         Comparison(tmp_path / "run", capture.path, tmp_path, settings("ndf", "brighter"), "")
     for one in (
-        settings("ndf", "brighter", mesh_seconds=1.0), settings("ndf", "brighter@converged"), settings("ndf"),
+        settings("ndf", "brighter", seconds=1.0), settings("ndf", "brighter@converged"), settings("ndf"),
     ):
         Comparison(tmp_path / "run", capture.path, tmp_path, one, "")
 
@@ -352,9 +388,9 @@ def test_a_run_that_went_on_for_a_moment_keeps_equal_time_trainings(run, capture
     shutil.copytree(run, tmp_path / "run")
     config = json.loads((run / "config.json").read_text())
 
-    def trained_for(seconds, **given):
+    def trained_for(of_run, **given):
         files.write_json(
-            tmp_path / "run" / "config.json", {**config, "trained": {**config["trained"], "seconds": seconds}}
+            tmp_path / "run" / "config.json", {**config, "trained": {**config["trained"], "seconds": of_run}}
         )
         before = len(brighter.fits)
         compared(tmp_path / "run", capture, tmp_path, "brighter@equal-time", **given)
@@ -362,15 +398,16 @@ def test_a_run_that_went_on_for_a_moment_keeps_equal_time_trainings(run, capture
 
     assert trained_for(0.5) == [0.5]
     assert trained_for(0.504) == []
-    assert trained_for(0.504, mesh_seconds=0.504) == [0.504]
+    assert trained_for(0.504, seconds=0.504) == [0.504]
     assert trained_for(0.6) == [0.6]
 
 
 @pytest.mark.parametrize(
     "option",
     [
-        {"max_images": 0}, {"texture": 0}, {"samples": -1}, {"mesh_seconds": 0.0},
-        {"mesh_seconds": float("inf")}, {"seed": -1}, {"sequence": 1}, {"sequence": -1}, {"protocol": "some"},
+        {"max_images": 0}, {"texture": 0}, {"samples": -1}, {"seconds": 0.0},
+        {"seconds": float("inf")}, {"seeds": 0}, {"seed": -1}, {"sequence": 1}, {"sequence": -1},
+        {"protocol": "some"},
         {"methods": ("some",)}, {"methods": ("ndf", "ndf")},
     ],
 )

@@ -17,12 +17,14 @@ def test_all_methods_are_in_tables_pictures_charts_and_strips(results, page):
     # Truth, three methods and three error maps of four views; the truth's change and three errors of it in
     # two pairs of frames.
     assert len(page.alts) == 4 * 7 + 2 * 4
-    assert len(page.charts) == 2
+    assert len(page.charts) == 4
     for label in (method.label for method in results.methods):
         assert sum(any(row[0] == label for row in table) for table in page.tables) == 1 + 1 + 3
         assert sum(alt.startswith(f"{label}: ") for alt in page.alts) == 4
         assert f"{label}: " in page.charts[0]
-    assert "NDF: from" in page.charts[1]
+    assert all("Mesh, to convergence: 12.5, 40" in chart for chart in page.charts[1:3])
+    assert "NDF: from" in page.charts[3]
+    assert "Which one for whom" in page.text and "Next is NDF, 20.00 dB behind" in page.text
 
 
 def test_figures_and_circumstances_are_printed(page):
@@ -70,6 +72,7 @@ def test_without_sequences_and_curves_their_parts_are_left_out(results, truth, t
     for method in results.methods:
         method.flicker = []
         method.metadata.pop("history", None)
+        method.metadata = {}
     write_report(tmp_path / "report.html", results, truth, tmp_path)
     page = ParsedPage(tmp_path / "report.html")
     assert not page.charts and len(page.alts) == 4 * 7 and "tPSNR over" not in page.text

@@ -22,11 +22,12 @@ def test_a_method_that_converged_early_stands_for_equal_time(results, add_method
 
 
 def test_times_of_all_methods(results):
+    results.methods[0].metadata |= {"peak_memory": 1_500_000_000, "size_on_disk": 12_300_000}
     rows = {row.label: [cell.text for cell in row.cells] for row in training.times(results).rows}
     assert rows == {
-        "NDF": ["1 min 01 s", "1,000", "0.25 s"],
-        "Mesh, to convergence": ["12 s", "100", "0.25 s"],
-        "Gaussian <surprise>": ["–", "–", "0.25 s"],
+        "NDF": ["1 min 01 s", "1,000", "1.5 GB", "12 MB", "0.25 s"],
+        "Mesh, to convergence": ["12 s", "100", "–", "–", "0.25 s"],
+        "Gaussian <surprise>": ["–", "–", "–", "–", "0.25 s"],
     }
 
 

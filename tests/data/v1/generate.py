@@ -126,7 +126,7 @@ def generate(out: Path) -> None:
         normal=image.normal,
     )
 
-    settings = comparison.Settings(max_images=1, texture=16, samples=16, sequence=2, mesh_seconds=0.5)
+    settings = comparison.Settings(max_images=1, texture=16, samples=16, sequence=2, seconds=0.5)
     comparison.Comparison(out / "run", out / "capture", out / "compare", settings, "ndf-mi compare").run(
         Watcher()
     )
