@@ -56,8 +56,7 @@ def spread(vertices: np.ndarray, faces: np.ndarray, spacing: float, rng: np.rand
         faces: (F, 3).
         spacing: metres.
     """
-    corners = vertices[faces].astype(np.float64)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    area = areas(vertices, faces)
     count = max(round(area.sum() / spacing**2), 1)
     # One in each of equal shares of the area, in the order of the triangles.
     share = (np.arange(count) + rng.random(count)) / count
@@ -65,6 +64,12 @@ def spread(vertices: np.ndarray, faces: np.ndarray, spacing: float, rng: np.rand
     root, second = np.sqrt(rng.random(count)), rng.random(count)
     barycentric = np.stack([1 - root, root * (1 - second), root * second], 1)
     return Binding(triangle.astype(np.int32), barycentric.astype(np.float32))
+
+
+def areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(F,) float64 areas of triangles."""
+    corners = vertices[faces].astype(np.float64)
+    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
 
 
 def initial(count: int, colour: np.ndarray, rng: np.random.Generator) -> Arrays:

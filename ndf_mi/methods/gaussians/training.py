@@ -1,4 +1,4 @@
-"""Training primitives on whole views of the training split, one a step."""
+"""Training primitives on views of the training split, one a step."""
 
 from __future__ import annotations
 
@@ -16,7 +16,17 @@ from ndf_mi.methods.gaussians.compositing import Hits, Posed, composite
 from ndf_mi.methods.gaussians.densify import densify
 from ndf_mi.methods.gaussians.hits import Rectangle, find_hits
 from ndf_mi.methods.gaussians.pose_network import PoseNetwork
-from ndf_mi.methods.gaussians.primitives import LEARNED, Arrays, Binding, Rig, initial, pose, rows, spread
+from ndf_mi.methods.gaussians.primitives import (
+    LEARNED,
+    Arrays,
+    Binding,
+    Rig,
+    areas,
+    initial,
+    pose,
+    rows,
+    spread,
+)
 from ndf_mi.methods.volume.optimisation import Optimisation, Outcome, Schedule
 from ndf_mi.surface.rest_frames import RestFrames
 from ndf_mi.surface.training_views import TrainingViews
@@ -24,13 +34,17 @@ from ndf_mi.surface.training_views import TrainingViews
 MARGIN = 0.12
 """Metres around the body that training images show."""
 
+PIXELS = 1 << 14
+"""Most pixels of a step: of larger views a strip is drawn."""
+
 
 @dataclass(frozen=True)
 class Settings:
     """How primitives are made and trained.
 
     Attributes:
-        spacing: pixels of the training views between primitives at first.
+        spacing: pixels of the training views between primitives at first, …
+        first: … but no more primitives than this.
         smallest: pixels, least standard deviation of a primitive.
         opacity_weight: weight of the mean squared difference of opacity and mask, away from the masks' edges.
         rounds: how often primitives are removed and split, evenly over the first `densified` of the training.
@@ -45,6 +59,7 @@ class Settings:
     """
 
     spacing: float = 1.7
+    first: int = 12000
     smallest: float = 0.1
     opacity_weight: float = 0.05
     rounds: int = 8
@@ -82,9 +97,11 @@ class Splats:
     def for_capture(cls, capture: Capture, settings: Settings) -> Splats:
         """For a capture, whose body and poses are those of the surface to start on."""
         pixel = pixel_size(capture)
+        area = areas(capture.poses.vertices[0], capture.body.faces).sum()
+        spacing = max(settings.spacing * pixel, float(np.sqrt(area / settings.first)))
         rig = Rig(capture.body.faces, capture.poses, RestFrames(capture).vertices)
         network = PoseNetwork(capture.poses.pose.shape[1], LEARNED["feature"])
-        return cls(rig, network, settings.spacing * pixel, settings.smallest * pixel)
+        return cls(rig, network, spacing, settings.smallest * pixel)
 
     def spread(self, rng: np.random.Generator) -> Binding:
         """Primitives all over the surface, `spacing` apart."""
@@ -128,7 +145,7 @@ def see(posed: Posed, part: Rectangle) -> tuple[mi.Color3f, mi.Float, Hits]:
 
 class ViewObjective:
     """The loss of one view of the training split: mean squared error in sRGB over the rectangle around the
-    body, and the mask's term.
+    body, or rows of it, and the mask's term.
 
     Args:
         capture: the images.
@@ -161,13 +178,17 @@ class ViewObjective:
     def __call__(self, parameters: Mapping[str, mi.Float], rng: np.random.Generator) -> Outcome:
         """The loss of a random view."""
         frame = self._split.frames[int(rng.integers(len(self._split.frames)))]
-        camera, rectangle, image = self._views.view(int(rng.integers(len(self._split.cameras))), frame)
-        covered = self._views.coverage(camera, frame).reshape(-1, 2)
+        camera, (x, y, width, height), image = self._views.view(
+            int(rng.integers(len(self._split.cameras))), frame)
+        count = min(max(PIXELS // width, 1), height)
+        first = int(rng.integers(height - count + 1))
+        image = image[first : first + count].reshape(-1, 3)
+        covered = self._views.coverage(camera, frame)[first : first + count].reshape(-1, 2)
         self.offset = parameters["offset"]
         noise = rng.normal(0, self._noise, self.splats.rig.poses.pose.shape[1:])
         colour, opacity, _ = see(self.splats.at(self.binding, parameters, frame, noise),
-                                 Rectangle(camera, *rectangle))
-        difference = colour + (1.0 - opacity) * self._background - mi.Color3f(image.reshape(-1, 3).T)
+                                 Rectangle(camera, x, y + first, width, count))
+        difference = colour + (1.0 - opacity) * self._background - mi.Color3f(image.T)
         error = dr.mean(dr.squared_norm(difference)) / 3.0
         mask, valid = (mi.Float(values) for values in covered.T)
         loss = error + self._weight * dr.mean(valid * dr.square(opacity - mask))

@@ -7,10 +7,11 @@ import dataclasses
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import trimesh
 from conftest import ball
 from scipy.spatial.transform import Rotation
 
-from ndf_mi.methods.gaussians.primitives import LEARNED, Rig, initial, pose, rows, spread
+from ndf_mi.methods.gaussians.primitives import LEARNED, Rig, areas, initial, pose, rows, spread
 
 
 def learned(count: int, seed: int = 0) -> dict[str, mi.Float]:
@@ -27,8 +28,8 @@ def test_they_are_spread_evenly_over_the_area():
     corners = vertices[body.faces[binding.triangle]]
     place = (corners * binding.barycentric[:, :, None]).sum(1)
     triangles = vertices[body.faces].astype(np.float64)
-    area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]),
-                          axis=1) / 2
+    area = areas(vertices, body.faces)
+    np.testing.assert_allclose(area.sum(), trimesh.Trimesh(vertices, body.faces).area)
     assert len(binding) == round(area.sum() / 0.02**2)
     upper = triangles.mean(1)[:, 2] > 0.45
     share = area[upper].sum() / area.sum()
