@@ -57,6 +57,21 @@ def test_it_continues_exactly():
     assert [row[2] for row in again.history] == [row[2] for row in whole.history]
 
 
+def test_tensors_are_exchanged_for_others_of_another_size():
+    found = taken(Optimisation({"a": np.zeros(3, np.float32), "b": ZERO["b"]},
+                               lambda p, rng: distance({**p, "a": dr.gather(mi.Float, p["a"], [0, 1])}, rng),
+                               Schedule(100, 0.1)), 5)
+    before = found.parameters["b"].numpy()
+    found.exchange({"a": np.full(5, 7, np.float32)})
+    np.testing.assert_array_equal(found.parameters["a"], np.full(5, 7))
+    np.testing.assert_array_equal(found.parameters["b"], before)
+    # Adam begins again: its first step is as long as the rate.
+    rate = 0.1 * 0.1 ** (5 / 100)
+    taken(found, 1)
+    np.testing.assert_allclose(np.abs(found.parameters["b"].numpy() - before), rate, rtol=1e-3)
+    np.testing.assert_allclose(found.parameters["a"], [7 - rate, 7 - rate, 7, 7, 7], rtol=1e-4)
+
+
 def test_steps_that_are_not_finite_are_refused():
     calls = []
 
