@@ -32,7 +32,7 @@ class Densified:
     removed: int
 
 
-def densify(binding: Binding, learned: Arrays, score: np.ndarray, count: int, rng: np.random.Generator
+def densify(binding: Binding, learned: Arrays, score: np.ndarray, more: int, rng: np.random.Generator
             ) -> Densified:
     """Removes primitives that are hardly visible, and splits those of the largest scores.
 
@@ -41,10 +41,11 @@ def densify(binding: Binding, learned: Arrays, score: np.ndarray, count: int, rn
     Args:
         learned: (k, N) by the names of `primitives.LEARNED`.
         score: (N,) from 0 on; what has 0 is not split.
-        count: how many to split, at most.
+        more: how many more to split than are removed, at most.
     """
     kept = np.flatnonzero(learned["logit_opacity"][0] > -np.log(1 / LEAST_OPACITY - 1))
-    order = kept[np.argsort(-score[kept], kind="stable")][: max(count, 0)]
+    count = len(binding) - len(kept) + max(more, 0)
+    order = kept[np.argsort(-score[kept], kind="stable")][:count]
     split = order[score[order] > 0]
     source = np.concatenate([kept, split])
     new = {name: values[:, source] for name, values in learned.items()}

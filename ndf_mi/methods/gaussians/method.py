@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,11 @@ import mitsuba as mi
 import msgspec
 import numpy as np
 
+from ndf_mi.capture.agreement import check_agreement
 from ndf_mi.capture.camera import Camera
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
-from ndf_mi.learn.options import TrainingOptions
-from ndf_mi.learn.prepare import reference
+from ndf_mi.learn.prepare import LONGEST, SHARE
 from ndf_mi.learn.state import write_state
 from ndf_mi.methods.base import Budget, Progress
 from ndf_mi.methods.gaussians.compositing import Posed
@@ -45,7 +46,7 @@ from ndf_mi.methods.volume.record import (
     write_volume,
 )
 from ndf_mi.methods.volume.stages import train
-from ndf_mi.surface.reference import with_offsets
+from ndf_mi.surface.reference import fit_reference, with_offsets
 from ndf_mi.surface.rest_frames import RestFrames
 
 RECIPE = 1
@@ -137,8 +138,10 @@ class Gaussians:
     def metadata(self) -> dict[str, Any]:
         """The members of the record, and keys that `methods.base` lists."""
         known = msgspec.to_builtins(self._record)
-        return {**known, **known.pop("more"), "settings": known.pop("preset"),
-                "primitives": len(self._binding), "options": {}}
+        count, surface = len(self._binding), self.settings.surface
+        where = "the body with offsets" if surface == "offset" else "the body"
+        return {**known, **known.pop("more"), "settings": known.pop("preset"), "primitives": count,
+                "options": {}, "note": f"{count:,} primitives on {where}."}
 
     def cache_key(self) -> str:
         """SHA-256 (hex) over primitives, surface, capture and how they are rendered."""
@@ -153,10 +156,13 @@ class Gaussians:
         record, settings = self._record_of(capture, budget), self.settings
         state = None if folder is None else read_checkpoint(folder / STATE, record)
         if state is None:
-            surface = reference(capture, TrainingOptions(
-                surface=settings.surface, seconds=budget.seconds or 0.0, seed=budget.seed))
-            record.surface_seconds = surface.seconds
-            fixed = {name: surface.tensors[name] for name in ("offsets",) if name in surface.tensors}
+            started = time.perf_counter()
+            check_agreement(capture)
+            fixed = {}
+            if settings.surface == "offset":
+                longest = None if budget.seconds is None else min(SHARE * budget.seconds, LONGEST)
+                fixed["offsets"] = fit_reference(capture, longest, budget.seed).offsets
+            record.surface_seconds = time.perf_counter() - started
         else:
             record.surface_seconds = float(state[1]["surface_seconds"])
             fixed = {name: state[0][name] for name in FIXED if name in state[0]}

@@ -49,7 +49,7 @@ class Settings:
         opacity_weight: weight of the mean squared difference of opacity and mask, away from the masks' edges.
         rounds: how often primitives are removed and split, evenly over the first `densified` of the training.
         densified: a share of the training.
-        split: share of the primitives that a round splits.
+        growth: by how much a round increases their number: as many are split as are removed, and this share.
         most: largest number of primitives.
         surface: what primitives are bound to: `offset`, the body with offsets that are fitted to the training
             masks first, or `body`.
@@ -64,7 +64,7 @@ class Settings:
     opacity_weight: float = 0.05
     rounds: int = 8
     densified: float = 0.6
-    split: float = 0.05
+    growth: float = 0.05
     most: int = 40000
     surface: Literal["body", "offset"] = "offset"
     pose_noise: float = 0.1
@@ -263,8 +263,8 @@ class SplatOptimisation(Optimisation):
 
     def _densify(self, settings: Settings) -> None:
         score = self._force / np.maximum(self._steps_seen, 1)
-        count = min(round(settings.split * len(score)), settings.most - len(score))
-        found = densify(self._views.binding, self.learned, score, count, self._split_rng)
+        more = min(round(settings.growth * len(score)), settings.most - len(score))
+        found = densify(self._views.binding, self.learned, score, more, self._split_rng)
         self._views.binding = found.binding
         self.exchange({name: values.ravel() for name, values in found.learned.items()})
         self._clear()

@@ -16,7 +16,7 @@ def test_invisible_ones_go_and_those_of_the_largest_scores_are_split():
     learned["logit_opacity"][0, [1, 4]] = -9
     binding = Binding(np.arange(count, dtype=np.int32), np.full((count, 3), 1 / 3, np.float32))
     score = np.array([0.1, 9, 0, 0.4, 8, 0.3])
-    found = densify(binding, learned, score, 2, np.random.default_rng(0))
+    found = densify(binding, learned, score, 0, np.random.default_rng(0))
     assert (found.removed, found.split) == (2, 2)
     np.testing.assert_array_equal(found.binding.triangle, [0, 2, 3, 5, 3, 5])
     np.testing.assert_array_equal(found.learned["colour"][0], [0, 2, 3, 5, 3, 5])
@@ -26,6 +26,7 @@ def test_invisible_ones_go_and_those_of_the_largest_scores_are_split():
     np.testing.assert_allclose(offset[:, [2, 3]], -offset[:, [4, 5]])
     assert np.abs(offset[:, 2:]).max() > 0.1 and not offset[:, :2].any()
     assert not learned["offset"].any()
+    assert densify(binding, learned, score, 1, np.random.default_rng(0)).split == 3
     # What has never been seen is not split.
     assert densify(binding, learned, np.zeros(count), 3, np.random.default_rng(0)).split == 0
 
