@@ -16,7 +16,7 @@ from PIL import Image
 from ndf_mi import files, machine
 from ndf_mi.capture.capture import Capture
 from ndf_mi.errors import InputError
-from ndf_mi.experiments import metrics
+from ndf_mi.experiments import metrics, perceptual
 from ndf_mi.experiments.core import SILENT, Progress, Unit, run_units
 from ndf_mi.experiments.flicker import choose_sequences, measure_flicker
 from ndf_mi.experiments.protocols import DEFAULT, Protocol, named
@@ -160,10 +160,12 @@ class Measurement:
 
     def _units(self) -> tuple[list[Unit[Measured]], list[Unit[Flicker]]]:
         capture, pictures = self.images.capture, self.pictures / self.name
-        inputs = {"images": self.method.cache_key(), "capture": capture.digest}
+        inputs: dict[str, Any] = {"images": self.method.cache_key(), "capture": capture.digest}
+        # Images that were measured without LPIPS are measured again once it can be.
+        lpips = {} if perceptual.absence() else {"lpips": True}
         images = [
             Unit(
-                f"{self.name}/image/{view.split}/{view.camera}/{view.frame:06d}", inputs,
+                f"{self.name}/image/{view.split}/{view.camera}/{view.frame:06d}", {**inputs, **lpips},
                 partial(self._measure, view), Measured, (pictures / view.file,), f"render {self.label}",
             )
             for view in self.images.rendered()

@@ -13,6 +13,7 @@ from skimage.metrics import structural_similarity
 
 from ndf_mi.body.box import BOX_PADDING, padded_box
 from ndf_mi.capture.camera import Camera, box_pixels
+from ndf_mi.experiments import perceptual
 from ndf_mi.optional import require
 
 SSIM_WINDOW = 7
@@ -20,14 +21,16 @@ TEMPORAL = "box_tpsnr"
 """The key of temporal PSNR, which is defined for a sequence; all other metrics are defined for an image."""
 MATCHED = "box_psnr_matched"
 """The key of box PSNR after the best affine map of colour for each image."""
+LPIPS = "box_lpips"
+"""The key of LPIPS, which only those have who installed it (`ndf_mi.experiments.perceptual`)."""
 LABELS = {
     "box_psnr": "Box PSNR (dB)", MATCHED: "Box PSNR, colours matched (dB)",
     "box_ssim": "Box SSIM, data_range 1", "box_ssim_range2": "Box SSIM, data_range 2",
-    "box_flip": "Box FLIP", TEMPORAL: "Box tPSNR (dB)",
+    "box_flip": "Box FLIP", LPIPS: "Box LPIPS", TEMPORAL: "Box tPSNR (dB)",
     "psnr": "Whole-image PSNR (dB)", "ssim": "Whole-image SSIM, data_range 1",
 }
 IMAGE_METRICS = tuple(name for name in LABELS if name != TEMPORAL)
-HIGHER_IS_BETTER = {name: name != "box_flip" for name in LABELS}
+HIGHER_IS_BETTER = {name: name not in ("box_flip", LPIPS) for name in LABELS}
 
 
 def box_mask(camera: Camera, vertices: np.ndarray, padding: float = BOX_PADDING) -> np.ndarray:
@@ -145,7 +148,7 @@ def measure(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> dict[str,
 
     `mask` (h, w) is the image's `box_mask`. FLIP is evaluated on the whole image and averaged over the mask's
     bounding rectangle. A metric is None where it is undefined: the box is out of sight, or smaller than
-    SSIM's window.
+    SSIM's window; LPIPS also where it cannot be computed here.
     """
     found: dict[str, float | None] = dict.fromkeys(IMAGE_METRICS)
     found["psnr"] = psnr(truth, image)
@@ -156,6 +159,10 @@ def measure(truth: np.ndarray, image: np.ndarray, mask: np.ndarray) -> dict[str,
         found["box_psnr"] = psnr(truth, image, mask)
         found[MATCHED] = psnr(truth, match_colours(truth, image, mask), mask)
         found["box_flip"] = float(flip_map(truth, image)[rectangle].mean())
+        if not perceptual.absence():
+            inside = mask[..., None]
+            found[LPIPS] = perceptual.lpips(np.where(inside, truth, 0)[rectangle],
+                                            np.where(inside, image, 0)[rectangle])
         if min(mask[rectangle].shape) >= SSIM_WINDOW:
             found["box_ssim"] = box_ssim(truth, image, mask)
             found["box_ssim_range2"] = box_ssim(truth, image, mask, data_range=2.0)

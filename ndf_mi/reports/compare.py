@@ -9,7 +9,7 @@ from typing import Any
 
 from ndf_mi.body.box import BOX_PADDING
 from ndf_mi.capture.capture import Capture
-from ndf_mi.experiments import metrics
+from ndf_mi.experiments import metrics, perceptual
 from ndf_mi.experiments.records import SPLITS, Results
 from ndf_mi.reports import page, tables, training
 from ndf_mi.reports.advice import advice
@@ -59,14 +59,19 @@ def headline(results: Results, splits: Sequence[str]) -> Table:
     colours, if a method was trained with a map of colour for each camera."""
     groups = [(SPLITS[split].capitalize(), results, split) for split in splits]
     keys = list(results.about["protocol"]["headline"])
+    if any(method.mean(split, metrics.LPIPS) is not None for method in results.methods for split in splits):
+        keys.append(metrics.LPIPS)
     if any(method.camera_colours for method in results.methods) and "box_psnr" in keys:
         keys.insert(keys.index("box_psnr") + 1, metrics.MATCHED)
     return tables.comparison(groups, keys)
 
 
 def notes(results: Results) -> list[str]:
-    """Sentences on differences to the protocol and on training."""
-    return [*page.protocol_notes(results.about), *training.notes(results)]
+    """Sentences on differences to the protocol, on training, and on LPIPS where it is missing."""
+    measured = any(method.mean(split, metrics.LPIPS) is not None
+                   for method in results.methods for split in results.splits())
+    absent = [] if measured else [perceptual.absence() or "LPIPS was not measured."]
+    return [*page.protocol_notes(results.about), *training.notes(results), *absent]
 
 
 def _held_out(results: Results) -> list[str]:
@@ -94,7 +99,8 @@ def _full_table(results: Results, split: str) -> Table:
     images = tables.count(results.about["measured"][split], "image")
     caption = f"{SPLITS[split].capitalize()}, means over {images}"
     caption += f"; tPSNR over {tables.count(pairs, 'pair')} of frames" if pairs else ""
-    # Comparisons of older versions did not match colours.
-    old = all(method.mean(split, metrics.MATCHED) is None for method in results.methods)
-    keys = [key for key in metrics.LABELS if not (old and key == metrics.MATCHED)]
+    # Comparisons of older versions did not match colours, and not everybody has LPIPS.
+    unknown = [key for key in (metrics.MATCHED, metrics.LPIPS)
+               if all(method.mean(split, key) is None for method in results.methods)]
+    keys = [key for key in metrics.LABELS if key not in unknown]
     return tables.comparison([("", results, split)], keys, caption)

@@ -66,7 +66,8 @@ def add_method(truth: SimpleNamespace, tmp_path: Path) -> Callable[..., MethodRe
         result = MethodResult(key, label, f"key of {key}", dict(metadata))
         for view in dict.fromkeys([*VIEWS, *SEQUENCE.views]):
             write_picture(tmp_path / key / view.file, truth.image(view.camera, view.frame) + shift)
-            figures = dict.fromkeys(metrics.IMAGE_METRICS, 0.5) | {"box_psnr": psnr, "psnr": psnr + 1}
+            figures = dict.fromkeys(metrics.IMAGE_METRICS, 0.5) | {
+                "box_psnr": psnr, "psnr": psnr + 1, metrics.LPIPS: None}
             result.images.append(Measured(view, 0.25, figures, sampled=view in VIEWS))
         result.flicker = [Flicker(SEQUENCE, [psnr + 3, None], [21.0, 22.0])]
         return result

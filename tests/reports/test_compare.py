@@ -59,6 +59,16 @@ def test_matched_colours_lead_only_after_training_with_camera_colours(results, t
     assert columns == ("Box PSNR (dB)", "Box PSNR, colours matched (dB)", "Box FLIP")
 
 
+def test_lpips_is_shown_where_it_was_measured_and_its_absence_said_where_not(results, page, truth, tmp_path):
+    assert "LPIPS is not measured" in page.text and "Box LPIPS" not in page.text
+    for image in (image for method in results.methods for image in method.images):
+        image.figures[metrics.LPIPS] = 0.25
+    assert headline(results, ["novel_view"]).columns[-1] == "Box LPIPS"
+    write_report(tmp_path / "report.html", results, truth, tmp_path)
+    text = ParsedPage(tmp_path / "report.html").text
+    assert "0.2500" in text and "LPIPS is not" not in text
+
+
 def test_older_comparisons_have_no_matched_colours(results, truth, tmp_path):
     write_report(tmp_path / "report.html", results, truth, tmp_path)
     assert "colours matched" in ParsedPage(tmp_path / "report.html").text
