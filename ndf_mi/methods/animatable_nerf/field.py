@@ -49,7 +49,8 @@ class BlendedSample(FieldSample):
 
 
 class Performer:
-    """The body of a capture, at rest and posed, with its blend weights; without the networks.
+    """The body of a capture, at rest and posed, with its blend weights; without the networks. Blend shapes of
+    the pose are not undone, as in the release.
 
     Args:
         capture: with a skinned body. That of a reference surface may take its place.
@@ -57,7 +58,7 @@ class Performer:
 
     Attributes:
         joints: J.
-        low, extent: a cube around all canonical points, metres.
+        low, extent: a corner and the edge's length of a cube around all canonical points, metres.
 
     Raises:
         InputError: the body has no skinning model.
@@ -78,7 +79,9 @@ class Performer:
         self.joints = self.weights.joints
         self.rest = PosedSurface(self._surface, mi.Float(rest.ravel()), CANONICAL_REACH)
         low, high = rest.min(0) - CANONICAL_REACH, rest.max(0) + CANONICAL_REACH
-        self.low, self.extent = low, float((high - low).max())
+        # Opaque, or each surface would mean other kernels.
+        self.low = mi.Point3f(*[dr.opaque(mi.Float, float(v)) for v in low])
+        self.extent = dr.opaque(mi.Float, float((high - low).max()))
 
     def pose(self, frame: int) -> Pose:
         """The body at a frame. Raises InputError if there is no such frame."""
@@ -156,8 +159,7 @@ class Canonical:
         x = dr.select(inside, x, 0.0)
         if self.field.preset.encoding == "frequency":
             return list(x)
-        low = mi.Point3f(*[float(v) for v in self.body.low])
-        return list((x - low) / self.body.extent)
+        return list((x - self.body.low) / self.body.extent)
 
     def at(self, x: mi.Point3f, d: mi.Vector3f, inside: mi.Bool) -> tuple[mi.Float, mi.Color3f]:
         """σ and linear colour at canonical points; any finite values in the other lanes."""
