@@ -22,8 +22,8 @@ class AnimatableNerf(VolumeMethod):
     key, label = "animatable-nerf", "Animatable NeRF"
     presets = {
         "fast": VolumePreset(
-            FAST, Schedule(steps=2000, learning_rate=4e-3),
-            RaySettings(min_transmittance=1e-3, opacity_weight=0.05)),
+            FAST, Schedule(steps=4000, learning_rate=8e-3),
+            RaySettings(rays=512, min_transmittance=1e-3, opacity_weight=0.05), surface="offset"),
         "paper": VolumePreset(
             PAPER, Schedule(steps=200_000, learning_rate=5e-4, decay_steps=500_000),
             RaySettings(edge_kernel=5)),
