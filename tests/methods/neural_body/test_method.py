@@ -12,7 +12,7 @@ from ndf_mi.field.sample import Located
 from ndf_mi.methods.base import Budget
 from ndf_mi.methods.neural_body import volume as volume_module
 from ndf_mi.methods.neural_body.architecture import Architecture
-from ndf_mi.methods.neural_body.method import FAST, NeuralBody
+from ndf_mi.methods.neural_body.method import FAST, PAPER, NeuralBody
 from ndf_mi.methods.neural_body.volume import NeuralBodyVolume
 from ndf_mi.methods.registry import entry
 from ndf_mi.methods.volume.optimisation import Schedule
@@ -75,6 +75,22 @@ def test_the_registry_knows_it(capture):
     method = entry("neural-body").create({"samples": 16, "texture": 3})
     assert isinstance(method, NeuralBody) and method.label == "Neural Body"
     assert entry("neural-body").create({"preset": "paper"}).preset.architecture == Architecture()
+
+
+@pytest.mark.long
+def test_the_published_sizes_train_and_render(capture):
+    class Paper(NeuralBody):
+        presets = {"paper": dataclasses.replace(
+            PAPER, schedule=dataclasses.replace(PAPER.schedule, steps=3),
+            rays=dataclasses.replace(PAPER.rays, rays=64, samples=16))}
+
+    method = Paper("paper", samples=4)
+    method.fit(capture, Budget(seed=1))
+    known, vertices = method.metadata(), capture.poses.vertices.shape[1]
+    assert known["steps"] == 3 and np.isfinite([row[2] for row in known["history"]]).all()
+    # Codes, two latent codes, convolutions and networks.
+    assert known["parameters"] == 16 * vertices + 2 * 128 + 3_790_592 + 431_364
+    assert np.isfinite(method.render(capture.cameras["n0"], 7)).all()
 
 
 def placed(capture, architecture=SMALL):
