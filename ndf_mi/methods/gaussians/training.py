@@ -64,7 +64,7 @@ class Settings:
     opacity_weight: float = 0.05
     rounds: int = 8
     densified: float = 0.6
-    growth: float = 0.05
+    growth: float = 0.0
     most: int = 40000
     surface: Literal["body", "offset"] = "offset"
     pose_noise: float = 0.1
@@ -237,7 +237,7 @@ class SplatOptimisation(Optimisation):
         self._force += force
         self._steps_seen += force > 0
         settings = self._settings
-        if self.rounds < settings.rounds * min(self.done / settings.densified, 1):
+        if self.rounds + 1 <= settings.rounds * min(self.done / settings.densified, 1):
             self.rounds += 1
             self._densify(settings)
 
