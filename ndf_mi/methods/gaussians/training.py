@@ -43,13 +43,13 @@ class Settings:
     """How primitives are made and trained.
 
     Attributes:
-        spacing: pixels of the training views between primitives at first, …
-        first: … but no more primitives than this.
+        spacing: pixels of the training views between primitives.
+        first: most primitives at first. Where `spacing` asks for more, rounds of splitting add them.
         smallest: pixels, least standard deviation of a primitive.
         opacity_weight: weight of the mean squared difference of opacity and mask, away from the masks' edges.
-        rounds: how often primitives are removed and split, evenly over the first `densified` of the training.
+        rounds: how often invisible primitives are removed and as many others split, evenly over the first
+            `densified` of the training.
         densified: a share of the training.
-        growth: by how much a round increases their number: as many are split as are removed, and this share.
         most: largest number of primitives.
         surface: what primitives are bound to: `offset`, the body with offsets that are fitted to the training
             masks first, or `body`.
@@ -64,7 +64,6 @@ class Settings:
     opacity_weight: float = 0.05
     rounds: int = 8
     densified: float = 0.6
-    growth: float = 0.0
     most: int = 40000
     surface: Literal["body", "offset"] = "offset"
     pose_noise: float = 0.1
@@ -86,22 +85,25 @@ class Splats:
         rig: the body in its poses.
         network: what the pose changes.
         spacing, smallest: metres, as for `primitives.pose`.
+        wanted: number of primitives at the end.
     """
 
     rig: Rig
     network: PoseNetwork
     spacing: float
     smallest: float
+    wanted: int
 
     @classmethod
     def for_capture(cls, capture: Capture, settings: Settings) -> Splats:
         """For a capture, whose body and poses are those of the surface to start on."""
         pixel = pixel_size(capture)
         area = areas(capture.poses.vertices[0], capture.body.faces).sum()
-        spacing = max(settings.spacing * pixel, float(np.sqrt(area / settings.first)))
+        wanted = max(min(round(area / (settings.spacing * pixel)**2), settings.most), 1)
+        spacing = float(np.sqrt(area / min(wanted, settings.first)))
         rig = Rig(capture.body.faces, capture.poses, RestFrames(capture).vertices)
         network = PoseNetwork(capture.poses.pose.shape[1], LEARNED["feature"])
-        return cls(rig, network, spacing, settings.smallest * pixel)
+        return cls(rig, network, spacing, settings.smallest * pixel, wanted)
 
     def spread(self, rng: np.random.Generator) -> Binding:
         """Primitives all over the surface, `spacing` apart."""
@@ -263,7 +265,7 @@ class SplatOptimisation(Optimisation):
 
     def _densify(self, settings: Settings) -> None:
         score = self._force / np.maximum(self._steps_seen, 1)
-        more = min(round(settings.growth * len(score)), settings.most - len(score))
+        more = -(-(self._views.splats.wanted - len(score)) // (settings.rounds + 1 - self.rounds))
         found = densify(self._views.binding, self.learned, score, more, self._split_rng)
         self._views.binding = found.binding
         self.exchange({name: values.ravel() for name, values in found.learned.items()})

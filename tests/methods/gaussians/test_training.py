@@ -41,16 +41,16 @@ def test_there_are_no_more_primitives_than_asked_for(capture):
     assert splats.spacing == pytest.approx(np.sqrt(area / 50))
 
 
-def test_rounds_grow_the_primitives_up_to_the_limit(capture):
+def test_rounds_add_the_primitives_that_spacing_asks_for(capture):
     settings = dataclasses.replace(
-        SETTINGS, rounds=3, growth=0.2, most=500, densified=0.6,
+        SETTINGS, first=300, rounds=3, most=350, densified=0.6,
         schedule=dataclasses.replace(SETTINGS.schedule, steps=10))
-    splats = Splats.for_capture(capture, dataclasses.replace(settings, first=300))
+    splats = Splats.for_capture(capture, settings)
     objective = ViewObjective(capture, splats, splats.spread(np.random.default_rng(0)), settings)
     optimisation = SplatOptimisation(objective, settings, seed=1)
     counts = []
     for _ in range(10):
         optimisation.step()
         counts.append(len(optimisation.binding))
-    assert counts == [300, 360, 360, 432, 432, 500, 500, 500, 500, 500] and optimisation.rounds == 3
-    assert all(value.shape[1] == 500 for value in optimisation.learned.values())
+    assert counts == [300, 317, 317, 334, 334, 350, 350, 350, 350, 350] and optimisation.rounds == 3
+    assert all(value.shape[1] == 350 for value in optimisation.learned.values())
