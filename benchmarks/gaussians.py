@@ -28,7 +28,7 @@ import mitsuba as mi  # noqa: E402
 from ndf_mi.capture.capture import Capture  # noqa: E402
 from ndf_mi.methods.gaussians.compositing import EXTENT, MOST_OPAQUE, Y00, Posed, composite  # noqa: E402
 from ndf_mi.methods.gaussians.hits import MIN_TRANSMITTANCE, Rectangle, find_hits  # noqa: E402
-from ndf_mi.methods.gaussians.primitives import LEARNED, Rig, initial, pose, rows, spread  # noqa: E402
+from ndf_mi.methods.gaussians.primitives import LEARNED, LIGHT, Rig, initial, pose, rows, spread  # noqa: E402
 from ndf_mi.surface.rest_frames import RestFrames  # noqa: E402
 from ndf_mi.surface.training_views import TrainingViews  # noqa: E402
 
@@ -54,7 +54,7 @@ def main(capture: Annotated[Path, tyro.conf.Positional], spacing: float = 0.015)
     flat = {name: mi.Float(learned[name].ravel()) for name in LEARNED}
     sides = [np.concatenate(values, 1) for values in zip(*(part.rays() for part in parts), strict=True)]
     ray = mi.Ray3f(mi.Point3f(sides[0].astype(np.float32)), mi.Vector3f(sides[1].astype(np.float32)))
-    posed = pose(rows(flat), rig.frames(binding, frame), spacing, 1e-4)
+    posed = pose(rows(flat), mi.Float([0.0] * LIGHT), rig.frames(binding, frame), spacing, 1e-4)
     dr.eval(posed)
     print(f"{len(binding)} primitives, {dr.width(ray.d)} rays, {dr.thread_count()} threads")
     some = np.arange(0, dr.width(ray.d), 23)
@@ -80,7 +80,7 @@ def main(capture: Annotated[Path, tyro.conf.Positional], spacing: float = 0.015)
         return np.array(colour).T
 
     compositing, picture = _timed(gradients)
-    report("this package", picture, finding_hits=finding, picture_and_gradients=compositing)
+    report("this package", picture, **{"hits": finding, "render and gradients": compositing})
 
 
 def exact_colour(posed: Posed, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -138,7 +138,7 @@ def _mitsuba(kind: str, posed: Posed, ray: mi.Ray3f) -> tuple[np.ndarray, dict[s
         dr.eval([dr.grad(parameters[name]) for name in names])
 
     gradients, _ = _timed(backward)
-    return np.array(radiance).T, {"picture": picture, "gradients": gradients, "moving": moving}
+    return np.array(radiance).T, {"render": picture, "gradients": gradients, "move": moving}
 
 
 def _timed(work: Callable[[], Any]) -> tuple[float, Any]:

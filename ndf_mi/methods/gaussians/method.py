@@ -24,9 +24,10 @@ from ndf_mi.learn.state import write_state
 from ndf_mi.methods.base import Budget, Progress
 from ndf_mi.methods.gaussians.compositing import Posed
 from ndf_mi.methods.gaussians.hits import Rectangle
-from ndf_mi.methods.gaussians.primitives import LEARNED, Binding
+from ndf_mi.methods.gaussians.primitives import LEARNED, LIGHT, Binding
 from ndf_mi.methods.gaussians.training import (
     NETWORK,
+    SHADE,
     Settings,
     SplatOptimisation,
     Splats,
@@ -121,6 +122,7 @@ class Gaussians:
             expect_shape(where + name, tensors.get(name), shape)
         weights = Splats.for_capture(capture, self.settings).network.initial(np.random.default_rng(0))
         expect_shape(where + NETWORK, tensors.get(NETWORK), weights.shape)
+        expect_shape(where + SHADE, tensors.get(SHADE), (LIGHT,))
         self._take(capture, record, tensors)
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
@@ -192,7 +194,8 @@ class Gaussians:
         record.seconds, record.steps = round(optimisation.seconds, 3), optimisation.steps
         record.refused, record.history = optimisation.steps_refused, optimisation.history
         self._take(capture, record, {**known(), **optimisation.learned,
-                                     NETWORK: optimisation.parameters[NETWORK].numpy()})
+                                     **{name: optimisation.parameters[name].numpy()
+                                        for name in (NETWORK, SHADE)}})
 
     def _record_of(self, capture: Capture, budget: Budget) -> VolumeRecord:
         """The record of a training that has not begun."""
@@ -204,7 +207,7 @@ class Gaussians:
         self._background = capture.background
         self._splats = Splats.for_capture(on_surface(capture, tensors), self.settings)
         self._binding = Binding(tensors["triangle"], tensors["barycentric"])
-        self._parameters = {name: mi.Float(tensors[name].ravel()) for name in (*LEARNED, NETWORK)}
+        self._parameters = {name: mi.Float(tensors[name].ravel()) for name in (*LEARNED, NETWORK, SHADE)}
         self._record, self._tensors = record, tensors
 
 

@@ -15,12 +15,11 @@ from ndf_mi.body.mesh import vertex_normals
 from ndf_mi.body.poses import Poses
 from ndf_mi.methods.gaussians.compositing import Posed
 
-LEARNED = {"offset": 3, "rotation": 4, "log_scale": 3, "logit_opacity": 1, "colour": 3, "shading": 9,
-           "feature": 8}
+LEARNED = {"offset": 3, "rotation": 4, "log_scale": 3, "logit_opacity": 1, "colour": 3, "feature": 8}
 """What training changes of a primitive, by name, and how many numbers each is."""
 
-BOUND = ("triangle", "barycentric")
-"""Where primitives are bound to, by name."""
+LIGHT = 24
+"""Numbers that describe the light; see `pose`."""
 
 CACHED = 64
 """Frames of primitives that are kept."""
@@ -171,24 +170,27 @@ def rows(learned: Mapping[str, mi.Float]) -> dict[str, list[mi.Float]]:
             for name, size in LEARNED.items()}
 
 
-def pose(learned: Mapping[str, list[mi.Float]], frames: Frames, spacing: float, smallest: float,
-         change: tuple[mi.Vector3f, mi.Color3f] | None = None) -> Posed:
+def pose(learned: Mapping[str, list[mi.Float]], light: mi.Float, frames: Frames, spacing: float,
+         smallest: float, change: tuple[mi.Vector3f, mi.Color3f] | None = None) -> Posed:
     """Primitives in a pose, attached to what training changes.
 
     Args:
         learned: `rows` by the names of `LEARNED`: `offset` in the frame of reference, in `spacing`;
             `rotation` in it, a quaternion (x, y, z, w) of any length; `log_scale`, logarithms of the standard
-            deviations in `spacing`; `logit_opacity`; `colour` in sRGB, to which `shading` (3, 3), channels by
-            axes of the world, times the surface's normal is added: diffuse light of degree 1.
+            deviations in `spacing`; `logit_opacity`; `colour` in sRGB.
+        light: `LIGHT` numbers, the same for all primitives: colours are multiplied by 1 plus these
+            coefficients times the spherical harmonics of the surface's normal in world space, from degree 1
+            to 2, channel by channel. This is what diffuse light does (Ramamoorthi and Hanrahan 2001).
         frames: of reference.
         spacing: metres.
         smallest: metres, which all standard deviations exceed.
         change: offsets, in `spacing`, and colours to add.
     """
     matrix = dr.quat_to_matrix(mi.Matrix3f, frames.rotation)
-    light = [dr.dot(mi.Vector3f(*learned["shading"][3 * channel : 3 * channel + 3]), frames.normal)
-             for channel in range(3)]
-    offset, colour = mi.Vector3f(*learned["offset"]), mi.Color3f(*learned["colour"]) + mi.Color3f(*light)
+    harmonics = dr.sh_eval(frames.normal, 2)[1:]
+    shade = [1.0 + sum((dr.gather(mi.Float, light, mi.UInt32(channel * len(harmonics) + i)) * value
+                        for i, value in enumerate(harmonics)), mi.Float(0)) for channel in range(3)]
+    offset, colour = mi.Vector3f(*learned["offset"]), mi.Color3f(*learned["colour"]) * mi.Color3f(*shade)
     if change is not None:
         offset, colour = offset + change[0], colour + change[1]
     return Posed(

@@ -18,6 +18,7 @@ from ndf_mi.methods.gaussians.hits import Rectangle, find_hits
 from ndf_mi.methods.gaussians.pose_network import PoseNetwork
 from ndf_mi.methods.gaussians.primitives import (
     LEARNED,
+    LIGHT,
     Arrays,
     Binding,
     Rig,
@@ -70,10 +71,10 @@ class Settings:
     schedule: Schedule = Schedule(steps=3000, learning_rate=1e-2, decay=0.03)
 
 
-NETWORK = "network"
-"""The name of the pose network's weights among the parameters."""
+NETWORK, SHADE = "network", "light"
+"""Names of the pose network's weights and of the light among the parameters."""
 
-RATES = {"offset": 2.0, "logit_opacity": 5.0, "shading": 0.5, "feature": 0.5, NETWORK: 0.1}
+RATES = {"offset": 2.0, "logit_opacity": 5.0, "feature": 0.5, NETWORK: 0.1, SHADE: 0.5}
 """Factors on the learning rate by name; 1 where there is none."""
 
 
@@ -111,8 +112,8 @@ class Splats:
 
     def at(self, binding: Binding, parameters: Mapping[str, mi.Float], frame: int,
            noise: np.ndarray | float = 0.0) -> Posed:
-        """The primitives at a frame, attached to the parameters: what is learned of primitives, flat, and the
-        network's weights.
+        """The primitives at a frame, attached to the parameters: what is learned of primitives, flat, the
+        network's weights, and the light.
 
         Args:
             noise: (J, 3) radians, added to the joint angles that the network sees.
@@ -124,7 +125,7 @@ class Splats:
         angles = self.rig.poses.pose[self.rig.poses.index(frame)] + noise
         change = self.network(parameters[NETWORK], self.rig.at_rest(binding), learned["feature"],
                               frames.normal, angles)
-        return pose(learned, frames, self.spacing, self.smallest, change)
+        return pose(learned, parameters[SHADE], frames, self.spacing, self.smallest, change)
 
 
 def pixel_size(capture: Capture) -> float:
@@ -213,8 +214,8 @@ class SplatOptimisation(Optimisation):
                  seed: int = 0, spent: float = 0.0) -> None:
         rng = np.random.default_rng([seed, 3])
         learned = initial(len(objective.binding), objective.mean_colour(), rng)
-        network = {NETWORK: objective.splats.network.initial(rng)}
-        super().__init__({name: values.ravel() for name, values in learned.items()} | network, objective,
+        shared = {NETWORK: objective.splats.network.initial(rng), SHADE: np.zeros(LIGHT, np.float32)}
+        super().__init__({name: values.ravel() for name, values in learned.items()} | shared, objective,
                          settings.schedule, seconds, seed, RATES, spent)
         self._views, self._settings = objective, settings
         self._split_rng = np.random.default_rng([seed, 2])

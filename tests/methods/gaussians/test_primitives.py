@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import trimesh
@@ -12,6 +11,8 @@ from conftest import ball
 from scipy.spatial.transform import Rotation
 
 from ndf_mi.methods.gaussians.primitives import LEARNED, Rig, areas, initial, pose, rows, spread
+
+EVEN = mi.Float([0.0] * 24)
 
 
 def learned(count: int, seed: int = 0) -> dict[str, mi.Float]:
@@ -45,8 +46,7 @@ def test_a_rigid_motion_of_the_body_moves_them_rigidly():
     rig = Rig(body.faces, dataclasses.replace(poses, vertices=moved), body.template)
     binding = spread(moved[0], body.faces, 0.08, np.random.default_rng(1))
     values = learned(len(binding))
-    values["shading"] = dr.zeros(mi.Float, 9 * len(binding))
-    first, second = (pose(rows(values), rig.frames(binding, frame), 0.05, 0.001) for frame in (0, 1))
+    first, second = (pose(rows(values), EVEN, rig.frames(binding, frame), 0.05, 0.001) for frame in (0, 1))
     np.testing.assert_allclose(np.array(second.centre).T, turn.apply(np.array(first.centre).T) + shift,
                                atol=1e-5)
     np.testing.assert_allclose(np.array(second.scale), np.array(first.scale))
@@ -64,13 +64,15 @@ def test_what_is_learned_is_what_is_posed():
     values = {name: mi.Float(value.ravel()) for name, value in start.items()}
     # Along the normal by one spacing: from the ball of 0.3 m to one of 0.35 m.
     values["offset"] = mi.Float(np.repeat([0, 0, 1], count).astype(np.float32))
-    values["shading"] = mi.Float(np.repeat([1, 0, 0, 0, 0, 0, 0, 0, -9], count).astype(np.float32))
-    posed = pose(rows(values), rig.frames(binding, 0), 0.05, 0.001)
+    light = np.zeros((3, 8), np.float32)
+    light[0, 1], light[2, 1] = 1, -9
+    posed = pose(rows(values), mi.Float(light.ravel()), rig.frames(binding, 0), 0.05, 0.001)
     place = np.array(posed.centre).T
     np.testing.assert_allclose(np.linalg.norm(place, axis=1), 0.35, atol=2e-3)
     np.testing.assert_allclose(np.array(posed.scale).T, np.tile([0.031, 0.031, 0.011], (count, 1)), rtol=1e-5)
     np.testing.assert_allclose(np.array(posed.opacity), 1 / (1 + np.exp(-1)), rtol=1e-6)
-    normal = np.array(rig.frames(binding, 0).normal)
-    expected = np.stack([0.5 + normal[0], np.full(count, 0.5), 0.5 - 9 * normal[2]])
+    # The second harmonic of degree 1 is that of z.
+    harmonic = np.sqrt(3 / (4 * np.pi)) * np.array(rig.frames(binding, 0).normal)[2]
+    expected = 0.5 * np.stack([1 + harmonic, np.ones(count), 1 - 9 * harmonic])
     np.testing.assert_allclose(np.array(posed.colour), np.maximum(expected, 0), atol=1e-5)
     assert set(values) == set(LEARNED)

@@ -10,7 +10,14 @@ import pytest
 
 from ndf_mi.methods.gaussians import training
 from ndf_mi.methods.gaussians.primitives import areas, initial
-from ndf_mi.methods.gaussians.training import NETWORK, Settings, SplatOptimisation, Splats, ViewObjective
+from ndf_mi.methods.gaussians.training import (
+    NETWORK,
+    SHADE,
+    Settings,
+    SplatOptimisation,
+    Splats,
+    ViewObjective,
+)
 
 SETTINGS = Settings(spacing=3.0)
 
@@ -21,6 +28,7 @@ def test_a_step_on_strips_has_the_error_of_the_whole_views(capture, monkeypatch)
     objective = ViewObjective(capture, splats, binding, dataclasses.replace(SETTINGS, pose_noise=0.0))
     learned = initial(len(binding), objective.mean_colour(), np.random.default_rng(0))
     parameters = {name: mi.Float(value.ravel()) for name, value in learned.items()}
+    parameters[SHADE] = mi.Float([0.0] * 24)
     parameters[NETWORK] = mi.Float(splats.network.initial(np.random.default_rng(0)))
 
     def mean_error(draws: int) -> float:
