@@ -15,7 +15,7 @@ PAPER = VolumePreset(
 
 FAST = VolumePreset(
     Architecture(
-        voxel=0.015, padding=0.1, code_rate=5.0, channels=(16, 32, 32, 32, 32), depths=(1, 2, 2, 2, 2),
+        voxel=0.015, padding=0.1, code_rate=60.0, channels=(16, 32, 32, 32, 32), depths=(1, 2, 2, 2, 2),
         density_layers=(64, 64), latent=16, colour_width=64, position_octaves=4, direction_octaves=-1,
         reach=1, cover=0.99, activation="softplus", gain=100.0, bias=-4.0, limit=500.0),
     Schedule(steps=4000, learning_rate=4e-3),
