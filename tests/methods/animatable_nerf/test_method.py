@@ -143,6 +143,27 @@ def test_nothing_is_compiled_once_warm(limb_capture, monkeypatch) -> None:
     assert len(counts) == 80 and min(counts) > 20 and compiled == []
 
 
+@pytest.mark.long
+def test_the_published_sizes_train_and_render(limb_capture) -> None:
+    of = AnimatableNerf.presets["paper"]
+    shape = dataclasses.replace(of.architecture, novel_points=2048,
+                                novel=dataclasses.replace(of.architecture.novel, steps=2))
+
+    class Paper(AnimatableNerf):
+        presets = {"paper": dataclasses.replace(
+            of, architecture=shape, schedule=dataclasses.replace(of.schedule, steps=2),
+            rays=dataclasses.replace(of.rays, rays=64, samples=16))}
+
+    method = Paper("paper", samples=4)
+    method.fit(limb_capture, Budget(seed=1))
+    known = method.metadata()
+    assert known["steps"] == known["final_steps"] == 2 and np.isfinite(known["final_loss"])
+    # Two networks of blend weights for two joints, the canonical one, and codes of three and two frames.
+    blend = 564_760 - 257 * 22
+    assert known["parameters"] == 2 * blend + 694_404 + 128 * (4 + 3 + 2)
+    assert np.isfinite(method.render(limb_capture.cameras["n0"], 6)).all()
+
+
 def test_seconds_are_shared_by_both_stages(limb_capture) -> None:
     method = Small()
     method.fit(limb_capture, Budget(seconds=3.0))
