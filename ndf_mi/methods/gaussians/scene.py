@@ -19,9 +19,9 @@ def performer(folder: str | os.PathLike[str], capture: Capture, frame: int) -> m
         mi.load_dict({"type": "scene", "integrator": {"type": "volprim_rf_basic"},
                       "performer": performer("out/gaussians", capture, 12), ...})
 
-    Its colours are sRGB, as the integrator expects by default. On the CPU, Mitsuba 3.9 meets ellipsoids of
-    millimetres that are metres away in a slightly wrong order: its single precision does not suffice for the
-    way in which it computes where rays enter them.
+    Its colours are sRGB, as the integrator expects by default. On the CPU, Mitsuba 3.9.1 meets some of the
+    ellipsoids of millimetres that are metres away in a wrong order, or not at all: single precision does not
+    suffice for the way in which it computes where rays enter them.
 
     Raises:
         InputError: the folder cannot be read, belongs to another capture, or there is no such frame.
