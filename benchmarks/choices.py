@@ -99,7 +99,8 @@ def main(options: Options) -> None:
 
 def held_back_row(capture: Capture, options: Options, choice: str) -> str:
     """Trains; returns the step that is kept, its PSNR on held-back views, and the curve, as a row's cells."""
-    preset, training = configured(options.preset, choice.split(), steps=options.steps, seed=options.seed)
+    preset, training = configured(options.preset, [*choice.split(), "held_back_until=1"],
+                                  steps=options.steps, seed=options.seed)
     curve = {}
     with tempfile.TemporaryDirectory() as folder:
         trainer = start(Path(folder) / "run", capture, preset, training)

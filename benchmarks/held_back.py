@@ -74,7 +74,8 @@ class Options:
 def main(options: Options) -> None:
     """Trains, measures and prints."""
     capture = Capture.read(options.capture)
-    preset, training = configured(options.preset, options.option, steps=options.steps, seed=options.seed)
+    preset, training = configured(options.preset, [*options.option, "held_back_until=1"],
+                                  steps=options.steps, seed=options.seed)
     with tempfile.TemporaryDirectory() as folder:
         trainer = start(Path(folder) / "run", capture, preset, training)
         rays = ray_sets(trainer, capture, training)

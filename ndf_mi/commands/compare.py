@@ -13,7 +13,7 @@ from ndf_mi.commands.command_line import command_line
 from ndf_mi.deprecated import DeprecatedOption
 from ndf_mi.errors import InputError
 
-REPORT, CAPTURE = "report.html", "capture.json"
+REPORT, CAPTURE, CONFIG = "report.html", "capture.json", "config.json"
 _METHODS_HELP = (
     "What is compared, separated by commas; differences refer to the first. `ndf` is the run, `mesh` a "
     "textured mesh, `offset-mesh` one whose vertices are trained too, `gaussians`, `neural-body` and "
@@ -104,12 +104,15 @@ class Compare:
         """Those of the run, if there is one, of the capture, and for the output."""
         if (self.target / CAPTURE).is_file():
             if self.capture is not None:
-                raise InputError("--capture", f"{self.capture} beside the capture {self.target}",
+                raise InputError("--capture", f"{self.capture}, where {self.target} is a capture as well",
                                  "one of them")
-            if self.out is None:
-                raise InputError("-o", "none", "a folder for the report and the trained methods",
-                                 "Captures stay as they are; give another folder with -o.")
+            if self.out is None or self.out.resolve().is_relative_to(self.target.resolve()):
+                raise InputError("-o", str(self.out or "none"),
+                                 "a folder for the report and the trained methods, outside the capture")
             return None, self.target, self.out
+        if not (self.target / CONFIG).is_file():
+            raise InputError(self.target, f"neither {CONFIG} nor {CAPTURE}",
+                             "the folder of a run or of a capture")
         if self.capture is None:
             raise InputError("--capture", "none", f"the capture that {self.target} was trained on")
         return self.target, self.capture, self.out or self.target

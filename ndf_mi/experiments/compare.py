@@ -5,6 +5,7 @@ trained here.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -121,9 +122,9 @@ class Comparison:
     def run(self, progress: Progress = SILENT) -> Results:
         """Trains and measures what is missing or stale. `compare.json` is written after each unit."""
         self._store.about, self._store.summary = self.results.about, self.results.summary
-        chosen = [ready for spec in self._specs for ready in self._ready(spec, progress)]
         self.results.methods = []
-        for ready in chosen:
+        # One after another, so that none stays in memory while the next is trained.
+        for ready in (ready for spec in self._specs for ready in self._ready(spec, progress)):
             result = Measurement(ready.name, ready.label, ready.method, self._images, self.pictures).run(
                 self._store, progress)
             result.group = ready.group
@@ -132,13 +133,14 @@ class Comparison:
         self._store.write()
         return self.results
 
-    def _ready(self, spec: MethodSpec, progress: Progress) -> list[Ready]:
+    def _ready(self, spec: MethodSpec, progress: Progress) -> Iterator[Ready]:
         """The methods that a spec stands for, ready to render; one for each seed where they are trained."""
         if spec.name in self._loaded:
             method = self._loaded[spec.name]
-            return [Ready(spec.name, method.label, method)]
-        seeds = range(self.settings.seed, self.settings.seed + self.settings.seeds)
-        return [ready for seed in seeds for ready in self._trained(spec, seed, progress)]
+            yield Ready(spec.name, method.label, method)
+            return
+        for seed in range(self.settings.seed, self.settings.seed + self.settings.seeds):
+            yield from self._trained(spec, seed, progress)
 
     def _trained(self, spec: MethodSpec, seed: int, progress: Progress) -> list[Ready]:
         """A method trained with one seed. Without a budget and a time these are the one trained for equal

@@ -14,7 +14,7 @@ from ndf_mi.experiments.store import Store
 from ndf_mi.field import Preset
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.trained import trained as trained_run
-from ndf_mi.methods.base import Budget, Resumable, Trainable
+from ndf_mi.methods.base import Budget, Configured, Resumable, Trainable
 
 M = TypeVar("M", bound=Trainable)
 
@@ -38,7 +38,11 @@ def fitted(
         progress: receives the steps.
     """
 
+    steps = 0
+
     def report(seconds: float, step: int, loss: float) -> None:
+        nonlocal steps
+        steps += 1
         progress.training(label, seconds, budget.seconds, step, loss)
 
     def train() -> None:
@@ -50,13 +54,18 @@ def fitted(
 
     def work() -> Trained:
         peak = peak_memory(train)
+        if not steps and key in (known := store.matching(key, Trained)):
+            peak = known[key].peak_memory  # It was only loaded.
         return Trained(method.metadata(), peak)
 
-    inputs = {
+    key = f"{name}/train"
+    inputs: dict[str, Any] = {
         "capture": capture.digest, "method": method.key, "options": dict(options), "seed": budget.seed,
         "budget": budget.seconds,
     }
-    unit = Unit(f"{name}/train", inputs, work, Trained, (folder,), label)
+    if isinstance(method, Configured):
+        inputs["settings"] = method.training_settings()
+    unit = Unit(key, inputs, work, Trained, (folder,), label)
     if store.fresh(unit) is None:
         run_units([unit], store, progress)
     else:

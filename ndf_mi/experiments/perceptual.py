@@ -16,6 +16,7 @@ LEAST = 64
 """Pixels a side below which images are padded with zeros: the network needs some."""
 
 
+@cache
 def absence() -> str:
     """Why there is no LPIPS, a sentence for readers; empty if there is."""
     if importlib.util.find_spec("lpips") is None:
@@ -25,7 +26,8 @@ def absence() -> str:
     except Exception as error:
         # Whatever it is, such as weights that cannot be downloaded: the other figures do not depend on it.
         reason = str(error).splitlines() or [type(error).__name__]
-        return f"LPIPS is not measured, because its network cannot be loaded: {reason[0]}"
+        return (f"LPIPS is not measured, because its network cannot be loaded ({reason[0]}). {INSTALL} "
+                "installs it; its weights are downloaded when it is first used.")
     return ""
 
 

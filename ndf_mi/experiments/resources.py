@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import tempfile
 from collections.abc import Callable
@@ -15,8 +16,9 @@ STATUS, CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 """Where Linux says how much memory this process held at most, and where that is reset."""
 RESET_PEAK = "5"
 
-NOT_RENDERED = ("state.safetensors", "metrics.jsonl")
-"""Files of a trained run that rendering does not read."""
+NOT_COUNTED = ("metrics.jsonl", "body.npz", "poses.npz")
+"""Files that rendering does not read, and those of a run that the capture holds as well, from which other
+methods read them."""
 
 
 def peak_memory(work: Callable[[], object]) -> int | None:
@@ -25,6 +27,9 @@ def peak_memory(work: Callable[[], object]) -> int | None:
     gc.collect()
     dr.sync_thread()
     dr.flush_malloc_cache()
+    # What others have freed shall not count.
+    if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
+        trim(0)
     try:
         CLEAR.write_text(RESET_PEAK)
     except OSError:
@@ -35,10 +40,11 @@ def peak_memory(work: Callable[[], object]) -> int | None:
 
 
 def size_on_disk(method: Trainable) -> int | None:
-    """Bytes of the files that a method needs to render, as it saves them; None of one that saves none."""
+    """Bytes of the files that a method needs to render besides the capture, as it saves them; None of one
+    that saves none."""
     with tempfile.TemporaryDirectory(prefix="ndf-mi-") as folder:
         method.save(folder)
-        saved = (file for file in Path(folder).rglob("*") if file.is_file() and file.name not in NOT_RENDERED)
+        saved = (file for file in Path(folder).rglob("*") if file.is_file() and file.name not in NOT_COUNTED)
         return sum(file.stat().st_size for file in saved) or None
 
 

@@ -1,4 +1,6 @@
-"""Training views that training never draws: their error says when the field fits the others too closely."""
+"""Training views that training starts without: their error shows when the field fits the others too
+closely.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,8 @@ EVERY = 50
 """Held-back rays are rendered after steps whose number is a multiple of this, …"""
 SHARE = 1 / 30
 """… and after at least this share of the training since the last time, and at its end."""
-RELEASE = 0.6
-"""Once this share of the training is done, held-back views join it, …"""
 TOLERANCE = 1.03
-"""… if their error is at most this factor above the least so far: training longer does no harm."""
+"""Longer training counts as harmless while the error is at most this factor above the least so far."""
 
 View = tuple[int, int]
 """A training image: indices of its frame and of its camera in the training split."""

@@ -58,9 +58,13 @@ class TrainingOptions:
     """Share of the rays drawn from the mask's pixels; the others are drawn from the body's padded box."""
 
     held_back: float = 0.05
-    """Share of the training views that training never draws. Their error is measured some 30 times, and the
-    best field is kept instead of the last. The number of views is rounded, and at most 12; 0 holds back
+    """Share of the training views that training starts without. Their error is measured some 30 times, and
+    the best field is kept instead of the last. The number of views is rounded, and at most 12; 0 holds back
     none. Steps through scattering use all views."""
+
+    held_back_until: float = 0.6
+    """Share of the training from which on these views are trained on as well, and the last field is kept, if
+    their error is within 3 % of its least then; 1 holds them back to the end."""
 
     edge_kernel: int = 0
     """Skip pixels if a square of this many pixels around them holds both performer and background; 0 skips
@@ -185,6 +189,7 @@ class TrainingOptions:
         self._check("warm_up", self.integrator == QUADRATURE or self.warm_up < self.steps,
                     f"fewer than the {self.steps} steps in all")
         self._check("held_back", 0 <= self.held_back <= 0.5, "a number in [0, 0.5]")
+        self._check("held_back_until", 0 <= self.held_back_until <= 1, "a number in [0, 1]")
         self._check("mask_share", 0 <= self.mask_share <= 1, "a number in [0, 1]")
 
     def _check(self, key: str, good: bool, expected: str) -> None:
@@ -200,7 +205,7 @@ class TrainingOptions:
         """The options from JSON values. Raises InputError for an unknown option or a wrong type."""
         # Trainings that were saved before these options existed ran without them.
         before = {"pose_noise": 0.0, "opacity_edge": 0, "min_transmittance": 0.0, "surface": "body",
-                  "held_back": 0.0, "mask_trust": False}
+                  "held_back": 0.0, "held_back_until": 1.0, "mask_trust": False}
         return read_options(cls, before | rename_entries(values, TRAINING_FIELDS), where)
 
     @classmethod

@@ -20,7 +20,7 @@ from ndf_mi.learn.batch import Batch, BatchSampler
 from ndf_mi.learn.best import Best
 from ndf_mi.learn.corrections import GROUPS, Corrections
 from ndf_mi.learn.guard import Guard
-from ndf_mi.learn.held_back import EVERY, RELEASE, SHARE, TOLERANCE, HeldBackRays, choose_views
+from ndf_mi.learn.held_back import EVERY, SHARE, TOLERANCE, HeldBackRays, choose_views
 from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.progress import Progress
 from ndf_mi.learn.refined import registered_capture
@@ -286,7 +286,7 @@ class Trainer:
             image_error = partial(self._quadrature.image_error, corrections=self.corrections)
             error = self._held_back.error(image_error, self.parameters)
             self._best.observe(self._taken, done, error, self.optimisers)
-            if RELEASE <= done < 1 and error <= TOLERANCE * self._best.error:
+            if self.options.held_back_until <= done < 1 and error <= TOLERANCE * self._best.error:
                 self._best.release()
                 self._release()
             self._seconds += time.perf_counter() - started

@@ -17,8 +17,8 @@ and reports; all of them are optional:
     tuned       options that a search on the training images has found: {name: value}. Later trainings of the
                 same method on the same capture may be created with them and need not search again
     history     the training curve: [step, seconds, mean squared error in sRGB], in order
-    held_back   the curve of training views that training never draws: [step, seconds, box PSNR in dB], in
-                order
+    held_back   the curve of training views while training does not draw them: [step, seconds, box PSNR in
+                dB], in order
     kept_step   the step whose parameters are rendered, where that need not be the last
     note        how it was trained or where its pictures come from, one sentence for the report
     noise_psnr  PSNR in dB that the sampling noise of the last picture rendered would have by itself
@@ -132,6 +132,15 @@ class Resumable(Protocol):
         """As `Trainable.fit` and `save` to the folder; continues a stopped training with the same capture,
         options and budget that the folder holds, and replaces any other.
         """
+        ...
+
+
+@runtime_checkable
+class Configured(Protocol):
+    """A method that is trained by settings of its own, which may differ between versions."""
+
+    def training_settings(self) -> dict[str, Any]:
+        """JSON values: a training with other settings is done again."""
         ...
 
 

@@ -22,7 +22,6 @@ from ndf_mi.learn.options import TrainingOptions
 from ndf_mi.learn.refined import refined_camera, seen_by
 from ndf_mi.learn.scattering import SCATTERING
 from ndf_mi.learn.trained import clear, expect_options, trained
-from ndf_mi.learn.trainer import STATE
 from ndf_mi.methods.base import Budget, Progress
 from ndf_mi.render.image import RECIPE, ImageRenderer
 from ndf_mi.run import SURFACE, Run
@@ -35,8 +34,8 @@ HISTORY = ("step", "seconds", "loss")
 HELD_BACK = ("step", "seconds", "held_back_psnr")
 """Keys that the curve of held-back views takes."""
 
-FILES = ("body.npz", "poses.npz", "field.safetensors", SURFACE, STATE, LOG)
-"""What a run holds besides `config.json`."""
+FILES = ("body.npz", "poses.npz", "field.safetensors", SURFACE, LOG)
+"""What a run holds besides `config.json` and the state of its training."""
 
 UNLIMITED = 10**9
 """Steps of a training that its seconds limit."""
@@ -111,7 +110,7 @@ class NeuralField:
         self._take(run)
 
     def save(self, folder: str | os.PathLike[str]) -> None:
-        """Copies the files of the run and of its training."""
+        """Copies the run, without what only further training needs."""
         for name in FILES:
             file = self.run.path / name
             if file.is_file():

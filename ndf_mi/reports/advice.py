@@ -14,8 +14,6 @@ EQUAL = 0.1
 """dB within which two methods count as equally good, unless seeds differ by more."""
 SAME_COST = 0.05
 """Share by which two costs may differ and count as the same."""
-RELIT = ("ndf", "mesh")
-"""Keys of methods that `ndf-mi relight` trains under a known light and shows under another."""
 
 
 def advice(results: Results) -> list[Fact]:
@@ -36,11 +34,6 @@ def advice(results: Results) -> list[Fact]:
         _cheapest("Small files", methods, lambda each: _known(each, "size_on_disk"),
                   lambda value: tables.size(int(value))),
     ]
-    relit = [each.label for each in methods if each.first.key.partition("-")[0] in RELIT]
-    if relit and len(methods) > 1:
-        facts.append(Fact("Another light", (
-            f"Not measured here. {_joined(relit)} can be trained under a known light and shown under another "
-            "by ndf-mi relight; the others keep the light of the capture.",)))
     return [fact for fact in facts if fact is not None]
 
 
@@ -51,12 +44,13 @@ def _best(need: str, methods: Sequence[Trainings], splits: Sequence[str], metric
     known.sort(key=lambda pair: -pair[0])
     top, first = known[0]
     unit = "dB of box PSNR" if metric == "box_psnr" else "dB of temporal PSNR"
-    best = [each for value, each in known if top - value <= _tolerance(first, each, splits, metric)]
-    text = f"{_joined([each.label for each in best])}: {tables.figure(metric, top)} {unit}"
-    text += f" and at most {EQUAL:g} dB less" if len(best) > 1 else ""
-    if len(best) < len(known):
-        value, follower = known[len(best)]
-        text += f". Next is {tables.lower(follower.label)}, {tables.figure(metric, top - value)} dB behind"
+    level = [pair for pair in known if top - pair[0] <= _tolerance(first, pair[1], splits, metric)]
+    behind = [pair for pair in known if pair not in level]
+    text = f"{_joined([each.label for _, each in level])}: {tables.figure(metric, top)} {unit}"
+    text += f" and at most {tables.figure(metric, top - level[-1][0])} dB less" if len(level) > 1 else ""
+    if behind:
+        value, follower = behind[0]
+        text += f". Next is {_named(follower.label)}, {tables.figure(metric, top - value)} dB behind"
     return Fact(need, (text + ".",))
 
 
@@ -72,7 +66,7 @@ def _cheapest(need: str, methods: Sequence[Trainings], cost: Callable[[Trainings
     best = max(qualities, key=_first)[1]
     of_best = cost(best)
     if best is not least and of_best:
-        lines.append(f"The best in quality, {tables.lower(best.label)}, takes {written(of_best)}.")
+        lines.append(f"The best in quality, {_named(best.label)}, takes {written(of_best)}.")
     return Fact(need, (" ".join(lines),))
 
 
@@ -108,5 +102,11 @@ def _first(pair: tuple[float, Trainings]) -> float:
 
 
 def _joined(labels: Sequence[str]) -> str:
-    *rest, last = (label if index == 0 else tables.lower(label) for index, label in enumerate(labels))
+    *rest, last = map(_named, labels)
     return f"{', '.join(rest)} and {last}" if rest else last
+
+
+def _named(label: str) -> str:
+    """A label that can stand in a list: “Mesh, equal time” → “Mesh (equal time)”."""
+    name, comma, more = label.partition(", ")
+    return f"{name} ({more})" if comma else name

@@ -17,10 +17,9 @@ from ndf_mi.reports.tables import Cell, Row, Table
 def notes(results: Results) -> list[str]:
     """A sentence or two for each method that has something to say of its training."""
     notes = [note for note in map(_note, results.first().methods) if note]
-    most = max((len(each.members) for each in results.trainings()), default=1)
-    if most > 1:
-        notes.append(f"Figures with ± are means and standard deviations over {most} trainings, which differ "
-                     "by their seeds; pictures show the first.")
+    if any(len(each.members) > 1 for each in results.trainings()):
+        notes.append("Figures with ± are means and standard deviations over trainings that differ by their "
+                     "seeds; pictures show the first.")
     return notes
 
 

@@ -37,9 +37,11 @@ def module(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setattr(made["lpips"], "LPIPS", Difference, raising=False)
     monkeypatch.setattr(made["torch"], "from_numpy", np.asarray, raising=False)
     monkeypatch.setattr(made["torch"], "no_grad", contextlib.nullcontext, raising=False)
-    perceptual._network.cache_clear()
+    for cached in (perceptual._network, perceptual.absence):
+        cached.cache_clear()
     yield made["lpips"]
-    perceptual._network.cache_clear()
+    for cached in (perceptual._network, perceptual.absence):
+        cached.cache_clear()
 
 
 def test_images_are_scaled_and_padded(module: ModuleType) -> None:
@@ -65,7 +67,8 @@ def test_its_absence_is_said(monkeypatch: pytest.MonkeyPatch, module: ModuleType
         raise OSError("no weights at alexnet.pth\nsecond line")
 
     monkeypatch.setattr(module, "LPIPS", broken)
-    assert perceptual.absence().endswith("cannot be loaded: no weights at alexnet.pth")
+    assert "cannot be loaded (no weights at alexnet.pth). pip install lpips" in perceptual.absence()
+    perceptual.absence.cache_clear()
     monkeypatch.delitem(sys.modules, "lpips")
     monkeypatch.setattr(perceptual.importlib.util, "find_spec", lambda name: None)
     assert perceptual.absence().endswith("pip install lpips.")

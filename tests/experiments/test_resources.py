@@ -38,7 +38,7 @@ def test_the_size_is_that_of_what_rendering_needs() -> None:
         def save(self, folder: Any) -> None:
             (Path(folder) / "part").mkdir()
             (Path(folder) / "part" / "weights.bin").write_bytes(bytes(1234))
-            (Path(folder) / "state.safetensors").write_bytes(bytes(99))
+            (Path(folder) / "poses.npz").write_bytes(bytes(99))
 
         def fit(self, *_: Any) -> None: ...
 

@@ -29,9 +29,8 @@ def views_drawn(trainer, steps=40):
     return {(batch.frame, int(camera)) for batch in batches for camera in set(batch.camera)}
 
 
-def test_the_best_is_published_when_training_diverges_afterwards(capture, tmp_path, monkeypatch):
-    monkeypatch.setattr("ndf_mi.learn.trainer.RELEASE", 1.0)
-    trainer = start(tmp_path / "run", capture, TINY, OPTIONS)
+def test_the_best_is_published_when_training_diverges_afterwards(capture, tmp_path):
+    trainer = start(tmp_path / "run", capture, TINY, dataclasses.replace(OPTIONS, held_back_until=1.0))
     draw = trainer.batches
 
     def diverging(*arguments):

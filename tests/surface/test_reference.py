@@ -50,6 +50,11 @@ def test_a_budget_ends_the_fit(shrunk_capture):
     assert fit_reference(shrunk_capture, budget=1e3).steps == ROUNDS
 
 
+def test_too_little_time_is_no_sign_of_wrong_masks(shrunk_capture, monkeypatch):
+    monkeypatch.setattr("ndf_mi.surface.reference.LEAST_AGREEMENT", 0.95)
+    assert fit_reference(shrunk_capture, budget=1e-3).steps == ROUNDS
+
+
 def with_mattes(capture: Capture, change) -> Capture:
     changed = copy.copy(capture)
     changed.matte = lambda name, frame: change(capture.matte(name, frame))
