@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ndf_mi.errors import InputError
 from ndf_mi.field.presets import Preset
 from ndf_mi.methods.volume.optimisation import Schedule
 
@@ -70,12 +69,3 @@ FAST = Architecture(
         feature_width=16, colour_layers=(64,), direction_octaves=-1),
     colour_latent=16, agree_above=5.0, agree_every=4, grid_rate=5.0, reach_inside=0.03,
     novel=Schedule(steps=400, learning_rate=4e-3), novel_points=16384)
-
-ARCHITECTURES = {architecture.name: architecture for architecture in (PAPER, FAST)}
-
-
-def architecture(name: str) -> Architecture:
-    """The preset of this name. Raises InputError, listing the names, for another."""
-    if name not in ARCHITECTURES:
-        raise InputError("preset", repr(name), "one of " + ", ".join(ARCHITECTURES))
-    return ARCHITECTURES[name]

@@ -43,7 +43,9 @@ def densify(binding: Binding, learned: Arrays, score: np.ndarray, more: int, rng
         score: (N,) from 0 on; what has 0 is not split.
         more: how many more to split than are removed, at most.
     """
-    kept = np.flatnonzero(learned["logit_opacity"][0] > -np.log(1 / LEAST_OPACITY - 1))
+    opacity = learned["logit_opacity"][0]
+    # One stays, however little of it is seen: without any there is nothing to train.
+    kept = np.flatnonzero(opacity >= min(-np.log(1 / LEAST_OPACITY - 1), opacity.max()))
     count = len(binding) - len(kept) + max(more, 0)
     order = kept[np.argsort(-score[kept], kind="stable")][:count]
     split = order[score[order] > 0]

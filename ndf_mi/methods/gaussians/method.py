@@ -133,16 +133,22 @@ class Gaussians:
             return np.clip(np.array(image, np.float32).T, 0, 1).reshape(camera.h, camera.w, 3)
 
     def posed(self, frame: int) -> Posed:
-        """The primitives at a frame, for `compositing.ellipsoids`. Raises InputError if there is no such
+        """The primitives at a frame, for `scene.ellipsoids`. Raises InputError if there is no such
         frame."""
         return self._splats.at(self._binding, self._parameters, frame)
+
+    def training_settings(self) -> dict[str, Any]:
+        """As `methods.base.Configured`."""
+        found: dict[str, Any] = msgspec.to_builtins(self.settings)
+        return found
 
     def metadata(self) -> dict[str, Any]:
         """The members of the record, and keys that `methods.base` lists."""
         known = msgspec.to_builtins(self._record)
         count, surface = len(self._binding), self.settings.surface
         where = "the body with offsets" if surface == "offset" else "the body"
-        return {**known, **known.pop("more"), "settings": known.pop("preset"), "primitives": count,
+        settings, more = known.pop("preset"), known.pop("more")
+        return {**known, **more, "settings": settings, "primitives": count,
                 "options": {}, "note": f"{count:,} primitives on {where}."}
 
     def cache_key(self) -> str:

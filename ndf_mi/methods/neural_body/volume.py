@@ -29,7 +29,7 @@ from ndf_mi.render.quadrature import Radiance
 CACHE_BYTES = 1 << 29
 """Bound on the memory of voxels that are kept for the next time their frame is drawn."""
 PROBED = 16
-"""Training frames whose voxels are counted in advance."""
+"""At most this many training frames' voxels are counted in advance."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class NeuralBodyVolume:
             return self._kept[frame]
         if self._rows is None:
             # Padding all frames alike compiles one set of kernels; a tenth more is room for the others.
-            frames = list(self._training)[:: max(1, len(self._training) // PROBED)] or [frame]
+            frames = list(self._training)[:: -(-len(self._training) // PROBED)] or [frame]
             counts = [[len(stride.sites) for stride in self._voxels(each)[0].strides] for each in frames]
             self._rows = tuple(padded(int(1.1 * most)) for most in np.max(counts, axis=0))
         found, matrix = self._voxels(frame)

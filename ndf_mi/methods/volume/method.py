@@ -168,6 +168,10 @@ class VolumeMethod:
         return boxed(Chunked(self._volume.at(frame, self.parameters)), f"{self.key}-{self.cache_key()[:12]}",
                      frame)
 
+    def training_settings(self) -> dict[str, Any]:
+        """As `methods.base.Configured`: the preset's options."""
+        return self.preset.to_dict()
+
     def metadata(self) -> dict[str, Any]:
         """The members of the record, and keys that `methods.base` lists."""
         known = msgspec.to_builtins(self._record)
@@ -213,8 +217,14 @@ class VolumeMethod:
         if final is not None:
             parameters = {name: mi.Float(value) for name, value in training.tensors.items()
                           if name != "offsets"}
+
+            def report(spent: float, step: int, _: float) -> None:
+                # The last stage sees no image, so that the error on images stays what it was.
+                if progress is not None and record.history:
+                    progress(spent, record.steps + step, record.history[-1][2])
+
             last = training.run(1, final.initial(np.random.default_rng([budget.seed, 2])),
-                                final.objective(parameters), final.schedule, seconds)
+                                final.objective(parameters), final.schedule, seconds, progress=report)
             assert last is not None
             record.more = {"note": final.note, "final_steps": last.steps, "final_loss": last.error}
         self._take(capture, volume, record, training.tensors)
