@@ -205,7 +205,7 @@ class TrainingOptions:
         """The options from JSON values. Raises InputError for an unknown option or a wrong type."""
         # Trainings that were saved before these options existed ran without them.
         before = {"pose_noise": 0.0, "opacity_edge": 0, "min_transmittance": 0.0, "surface": "body",
-                  "held_back": 0.0, "held_back_until": 1.0, "mask_trust": False}
+                  "held_back": 0.0, "mask_trust": False}
         return read_options(cls, before | rename_entries(values, TRAINING_FIELDS), where)
 
     @classmethod

@@ -26,7 +26,7 @@ def test_help_lists_the_names_that_can_be_given(capsys):
 
 @pytest.mark.parametrize(("name", "shown"), [
     ("capture import", "{zju,dynacap} DIR"), ("capture check", "DIR"), ("capture synthesise", "OUT"),
-    ("optimise", "CAPTURE"), ("ablate", "CAPTURE"), ("compare", "RUN"), ("animate", "RUN"),
+    ("optimise", "CAPTURE"), ("ablate", "CAPTURE"), ("compare", "RUN|CAPTURE"), ("animate", "RUN"),
     ("render", "SCENE_OR_RUN"),
 ])  # fmt: skip
 def test_help_calls_folders_what_the_manual_calls_them(capsys, name, shown):

@@ -128,9 +128,17 @@ def test_optimise_and_resume(capture, tmp_path, capsys):
     assert "--resume" in capsys.readouterr().err
 
 
-def test_optimise_prints_which_step_it_keeps(capture, tmp_path, capsys):
+def test_optimise_prints_that_it_trained_on_all_views_at_last(capture, tmp_path, capsys):
     options = ["--preset", "tiny", "--steps", "51"]
     for option in ("rays=64", "samples=8", "density_layers=[8]", "held_back=0.25"):
+        options += ["--option", option]
+    assert main(["optimise", str(capture.path), "-o", str(tmp_path / "run"), *options]) == 0
+    assert "dB at step 50 and not getting worse, and were trained on from there" in capsys.readouterr().out
+
+
+def test_optimise_prints_which_step_it_keeps(capture, tmp_path, capsys):
+    options = ["--preset", "tiny", "--steps", "51"]
+    for option in ("rays=64", "samples=8", "density_layers=[8]", "held_back=0.25", "held_back_until=1"):
         options += ["--option", option]
     assert main(["optimise", str(capture.path), "-o", str(tmp_path / "run"), *options]) == 0
     printed = capsys.readouterr().out

