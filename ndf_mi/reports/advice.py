@@ -50,7 +50,7 @@ def _best(need: str, methods: Sequence[Trainings], splits: Sequence[str], metric
     text += f" and at most {tables.figure(metric, top - level[-1][0])} dB less" if len(level) > 1 else ""
     if behind:
         value, follower = behind[0]
-        text += f". Next is {_named(follower.label)}, {tables.figure(metric, top - value)} dB behind"
+        text += f". Next is {tables.named(follower.label)}, {tables.figure(metric, top - value)} dB behind"
     return Fact(need, (text + ".",))
 
 
@@ -61,12 +61,12 @@ def _cheapest(need: str, methods: Sequence[Trainings], cost: Callable[[Trainings
     if len(known) < 2 or max(known, key=_first)[0] <= (1 + SAME_COST) * min(known, key=_first)[0]:
         return None
     value, least = min(known, key=_first)
-    lines = [f"{least.label}: {written(value)}{_given_up(least, methods)}."]
+    lines = [f"{tables.named(least.label)}: {written(value)}{_given_up(least, methods)}."]
     qualities = [(quality, each) for each in methods if (quality := _quality(each, HELD_OUT)) is not None]
     best = max(qualities, key=_first)[1]
     of_best = cost(best)
     if best is not least and of_best:
-        lines.append(f"The best in quality, {_named(best.label)}, takes {written(of_best)}.")
+        lines.append(f"The best in quality, {tables.named(best.label)}, takes {written(of_best)}.")
     return Fact(need, (" ".join(lines),))
 
 
@@ -102,11 +102,5 @@ def _first(pair: tuple[float, Trainings]) -> float:
 
 
 def _joined(labels: Sequence[str]) -> str:
-    *rest, last = map(_named, labels)
+    *rest, last = map(tables.named, labels)
     return f"{', '.join(rest)} and {last}" if rest else last
-
-
-def _named(label: str) -> str:
-    """A label that can stand in a list: “Mesh, equal time” → “Mesh (equal time)”."""
-    name, comma, more = label.partition(", ")
-    return f"{name} ({more})" if comma else name

@@ -86,7 +86,7 @@ def _cards(results: Results) -> list[dict[str, Any]]:
         mine = first.mean(split, "box_psnr")
         gains = [(other, tables.difference(mine, other.mean(split, "box_psnr"))) for other in others]
         lines = [
-            f"{tables.signed('box_psnr', gain)} dB compared with {tables.lower(other.label)}"
+            f"{tables.signed('box_psnr', gain)} dB compared with {tables.named(other.label)}"
             for other, gain in gains
         ]
         value = tables.figure("box_psnr", mine)

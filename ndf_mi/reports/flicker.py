@@ -134,7 +134,7 @@ def _strips(
         flicker = _of(method, reference.sequence)
         values = [None if flicker is None else flicker.tpsnr[t] for t in pairs]
         captions = [f"{tables.figure(metrics.TEMPORAL, value)} dB" for value in values]
-        rows.append(strip(f"Error of {tables.lower(method.label)}", images, captions))
+        rows.append(strip(f"Error of {tables.named(method.label)}", images, captions))
     return rows
 
 

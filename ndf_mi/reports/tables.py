@@ -170,9 +170,10 @@ def count(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
-def lower(label: str) -> str:
-    """A label inside a sentence: “Mesh, equal time” → “mesh, equal time”; abbreviations stay."""
-    return label if label[:2].isupper() else label[:1].lower() + label[1:]
+def named(label: str) -> str:
+    """A label that can stand in a sentence or list: “Mesh, equal time” → “Mesh (equal time)”."""
+    name, comma, more = label.partition(", ")
+    return f"{name} ({more})" if comma else name
 
 
 def _cell(key: str, column: Sequence[float | None], spreads: Sequence[float | None], index: int) -> Cell:

@@ -82,4 +82,6 @@ def test_figures_as_text():
     times = [tables.duration(s) for s in (None, 0.417, 37.6, 364.8, 7790)]
     assert times == ["–", "0.42 s", "38 s", "6 min 05 s", "2 h 09 min"]
     assert tables.count(1, "image") == "1 image" and tables.count(1200, "step") == "1,200 steps"
-    assert tables.lower("Mesh, equal time") == "mesh, equal time" and tables.lower("NDF") == "NDF"
+    assert tables.named("Mesh, equal time") == "Mesh (equal time)" and tables.named("NDF") == "NDF"
+    assert [tables.size(count) for count in (None, 830_400, 2_436_524, 18_459_232, 1_400_000_000)] == [
+        "–", "830 kB", "2.4 MB", "18 MB", "1.4 GB"]
