@@ -162,4 +162,4 @@ def _not_found(capture: Capture, fit: OutlineFit, views: Views, fitted: float | 
                       "Check that masks are 255 on the performer and 0 elsewhere, that the cameras' axes are "
                       "OpenGL's (x right, y up, looking along -z), and that images and poses have the same "
                       "frame numbers. Refine a fit that is off with --refine pose,cameras; or train around "
-                      "the body as it is with --option surface=body.")
+                      "the naked body with --option surface=body.")

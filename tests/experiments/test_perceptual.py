@@ -1,4 +1,4 @@
-"""LPIPS: what its network is given, and what is said where it is missing. The network is a stand-in."""
+"""LPIPS: what its network is given, and what is printed where it is missing. The network is a stand-in."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ from ndf_mi.methods.gaussians.training import (
     ViewObjective,
     see,
 )
-from ndf_mi.methods.volume.method import STATE
+from ndf_mi.methods.volume.method import STATE, RecordedMethod
 from ndf_mi.methods.volume.record import (
     FILE_NAME,
     TENSORS,
@@ -42,9 +42,7 @@ from ndf_mi.methods.volume.record import (
     VolumeRecord,
     expect_shape,
     read_checkpoint,
-    read_record,
     read_volume,
-    write_volume,
 )
 from ndf_mi.methods.volume.stages import train
 from ndf_mi.surface.reference import fit_reference, with_offsets
@@ -57,7 +55,7 @@ FIXED = "offsets", "triangle", "barycentric"
 """What is saved besides what is learned, by name; `offsets` only where there are some."""
 
 
-class Gaussians:
+class Gaussians(RecordedMethod):
     """Anisotropic Gaussian primitives bound to the triangles of the body with offsets, one ray through each
     pixel's centre. They are composited in sRGB, as in 3D Gaussian splatting.
 
@@ -71,33 +69,6 @@ class Gaussians:
 
     def __init__(self, settings: Settings = Settings()) -> None:  # noqa: B008 (immutable)
         self.settings = settings
-
-    def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
-        """Trains for the budget's seconds, or the default number of steps without them."""
-        self._train(None, capture, budget, progress)
-
-    def fit_in(self, folder: str | os.PathLike[str], capture: Capture, budget: Budget,
-               progress: Progress | None = None) -> None:
-        """As `fit` and `save`. A finished training in the folder is loaded, a stopped one continues, and that
-        of another capture, budget or version is replaced.
-
-        Raises:
-            KeyboardInterrupt: stopped by a signal; the next call continues.
-        """
-        folder = Path(folder)
-        try:
-            if read_record(folder).same_training(self._record_of(capture, budget)):
-                return self.load(folder, capture)
-        except InputError:
-            pass  # there is none, or it is damaged
-        (folder / FILE_NAME).unlink(missing_ok=True)
-        self._train(folder, capture, budget, progress)
-        self.save(folder)
-        (folder / STATE).unlink(missing_ok=True)
-
-    def save(self, folder: str | os.PathLike[str]) -> None:
-        """Writes `volume.safetensors`, and `volume.json` last."""
-        write_volume(folder, self._record, self._tensors)
 
     def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
         """Reads what `save` wrote.

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,7 +68,56 @@ class VolumePreset:
         return json.loads(json.dumps(dataclasses.asdict(self)))
 
 
-class VolumeMethod:
+class RecordedMethod(ABC):
+    """A method whose training is kept as a `VolumeRecord` with tensors, and continues where it was stopped.
+    Its folder holds `volume.json` and `volume.safetensors`.
+    """
+
+    _record: VolumeRecord
+    _tensors: Tensors
+
+    @abstractmethod
+    def _train(self, folder: Path | None, capture: Capture, budget: Budget,
+               progress: Progress | None) -> None:
+        """Trains, or goes on from the state in the folder, where it leaves checkpoints if there is one."""
+
+    @abstractmethod
+    def _record_of(self, capture: Capture, budget: Budget) -> VolumeRecord:
+        """The record of a training that has not begun."""
+
+    @abstractmethod
+    def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
+        """Reads what `save` wrote."""
+
+    def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
+        """Trains for the budget's seconds, or its own number of steps without them."""
+        self._train(None, capture, budget, progress)
+
+    def fit_in(self, folder: str | os.PathLike[str], capture: Capture, budget: Budget,
+               progress: Progress | None = None) -> None:
+        """As `fit` and `save`. A finished training in the folder is loaded, a stopped one continues, and that
+        of another capture, budget or settings is replaced.
+
+        Raises:
+            KeyboardInterrupt: stopped by a signal; the next call continues.
+        """
+        folder = Path(folder)
+        try:
+            if read_record(folder).same_training(self._record_of(capture, budget)):
+                return self.load(folder, capture)
+        except InputError:
+            pass  # there is none, or it is damaged
+        (folder / FILE_NAME).unlink(missing_ok=True)
+        self._train(folder, capture, budget, progress)
+        self.save(folder)
+        (folder / STATE).unlink(missing_ok=True)
+
+    def save(self, folder: str | os.PathLike[str]) -> None:
+        """Writes `volume.safetensors`, and `volume.json` last."""
+        write_volume(folder, self._record, self._tensors)
+
+
+class VolumeMethod(RecordedMethod):
     """A method whose volume is trained on rays of the training images and rendered by quadrature, one ray
     through each pixel's centre.
 
@@ -108,29 +158,6 @@ class VolumeMethod:
         """What is trained last, within the budget; None for nothing. The volume is one of :meth:`volume`."""
         return None
 
-    def fit(self, capture: Capture, budget: Budget, progress: Progress | None = None) -> None:
-        """Trains for the budget's seconds, or the preset's steps without them."""
-        self._train(None, capture, budget, progress)
-
-    def fit_in(self, folder: str | os.PathLike[str], capture: Capture, budget: Budget,
-               progress: Progress | None = None) -> None:
-        """As `fit` and `save`. A finished training in the folder is loaded, a stopped one continues, and that
-        of another capture, preset or budget is replaced.
-
-        Raises:
-            KeyboardInterrupt: stopped by a signal; the next call continues.
-        """
-        folder = Path(folder)
-        try:
-            if read_record(folder).same_training(self._record_of(capture, budget)):
-                return self.load(folder, capture)
-        except InputError:
-            pass  # there is none, or it is damaged
-        (folder / FILE_NAME).unlink(missing_ok=True)
-        self._train(folder, capture, budget, progress)
-        self.save(folder)
-        (folder / STATE).unlink(missing_ok=True)
-
     def load(self, folder: str | os.PathLike[str], capture: Capture) -> None:
         """Reads what `save` wrote.
 
@@ -151,10 +178,6 @@ class VolumeMethod:
         for name, value in {**volume.initial(rng), **({} if final is None else final.initial(rng))}.items():
             expect_shape(f"{Path(folder) / TENSORS}: {name}", tensors.get(name), value.shape)
         self._take(capture, volume, record, tensors)
-
-    def save(self, folder: str | os.PathLike[str]) -> None:
-        """Writes `volume.safetensors`, and `volume.json` last."""
-        write_volume(folder, self._record, self._tensors)
 
     def render(self, camera: Camera, frame: int) -> np.ndarray:
         """(h, w, 3) float32 sRGB in [0, 1] over the capture's background."""
